@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from fnmatch import fnmatchcase
-from itertools import permutations
+from dataclasses import dataclass
 
-from esd.common import InputError, IntArray
+from esd.common import IntArray
 from esd.mesh.mesh import Mesh
 
 

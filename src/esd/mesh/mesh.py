@@ -101,7 +101,7 @@ def as_mesh(source: MeshLike) -> Mesh:
     if isinstance(source, Mesh):
         return source
     if isinstance(source, (str, os.PathLike)):
-        from esd.mesh.files import read_mesh
+        from esd.mesh.files import read_mesh  # reading a mesh makes one: imported when called
 
         return read_mesh(Path(source))
     if isinstance(source, tuple | list) and len(source) == 2:
@@ -129,14 +129,14 @@ def _pyvista_triangles(padded: npt.NDArray[Any]) -> npt.NDArray[Any]:
     if padded.ndim == 2:
         return padded
     if len(padded) % 4 or (padded[::4] != 3).any():
-        raise InputError("The pyvista mesh has faces that are no triangles; call its triangulate().")
+        raise InputError("The pyvista mesh has more than triangles; call its triangulate().")
     return padded.reshape(-1, 4)[:, 1:]
 
 
 def face_normals(mesh: Mesh) -> FloatArray:
     """Normals of the faces, (m, 3), each as long as twice its face's area."""
     a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
-    return np.cross(b - a, c - a)
+    return np.asarray(np.cross(b - a, c - a))
 
 
 def face_areas(mesh: Mesh) -> FloatArray:
@@ -152,7 +152,9 @@ def surface_area(mesh: Mesh) -> float:
 def vertex_areas(mesh: Mesh) -> FloatArray:
     """A third of the area of the faces at each vertex, (n,); their sum is the surface area."""
     shares = np.repeat(face_areas(mesh) / 3, 3)
-    return np.bincount(mesh.faces.ravel(), weights=shares, minlength=len(mesh.vertices))
+    return np.asarray(
+        np.bincount(mesh.faces.ravel(), weights=shares, minlength=len(mesh.vertices)), dtype=float
+    )
 
 
 def vertex_normals(mesh: Mesh) -> FloatArray:
