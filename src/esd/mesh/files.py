@@ -1,0 +1,159 @@
+"""Reading and writing meshes; vertex order and count are those of the file."""
+
+from __future__ import annotations
+
+import io
+import logging
+import os
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from esd.common import InputError, IntArray, whole_file
+from esd.mesh.mesh import Mesh
+
+FORMATS = (".off", ".obj", ".ply", ".stl", ".glb", ".gltf")
+"""Suffixes of the mesh files that are read and written."""
+
+_log = logging.getLogger(__name__)
+
+
+def read_mesh(path: str | os.PathLike[str]) -> Mesh:
+    """The mesh in a file, its vertices in the order and number of the file.
+
+    Polygons are cut into triangles from their first corner, and the log says how many. STL files
+    hold no shared vertices: corners at exactly one place become one vertex, in order of first
+    appearance. The parts of a glTF scene are placed and joined.
+
+    Parameters
+    ----------
+    path
+        A file with one of the suffixes in `FORMATS`.
+
+    Raises
+    ------
+    InputError
+        If there is no such file, or no triangle mesh in it, or it is cut short.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in FORMATS:
+        raise InputError(f"'{path}' is not a mesh file; expected one of {', '.join(FORMATS)}.")
+    if not path.is_file():
+        raise InputError(f"There is no file '{path}'.")
+    try:
+        mesh = _read_obj(path) if path.suffix.lower() == ".obj" else _read_by_trimesh(path)
+    except OSError as error:
+        raise InputError(f"'{path}' cannot be read: {error.strerror or error}.") from error
+    except InputError as error:
+        raise InputError(f"'{path}': {error}") from error
+    except Exception as error:  # whatever a parser stumbles over is bad input
+        kind = path.suffix[1:].upper()
+        raise InputError(f"'{path}' cannot be read as {kind}: {error}") from error
+    return mesh
+
+
+def write_mesh(mesh: Mesh, path: str | os.PathLike[str]) -> None:
+    """Write a mesh; the suffix of the path chooses the format.
+
+    Coordinates keep all their digits in OFF, OBJ and PLY, and seven in STL and glTF, whose numbers
+    are 32 bits long. STL keeps neither the order nor the sharing of vertices.
+
+    Raises
+    ------
+    InputError
+        If the suffix is unknown or the file cannot be written.
+    """
+    import trimesh
+
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in FORMATS or suffix == ".gltf":  # .gltf scatters over several files
+        written = ", ".join(name for name in FORMATS if name != ".gltf")
+        raise InputError(f"'{path}': expected a suffix among {written}.")
+    options = {"digits": 17} if suffix in (".off", ".obj") else {}
+    surface = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    content = surface.export(file_type=suffix[1:], **options)
+    with whole_file(path) as temporary:
+        temporary.write_bytes(content if isinstance(content, bytes) else content.encode())
+
+
+def _read_by_trimesh(path: Path) -> Mesh:
+    import trimesh
+
+    suffix = path.suffix.lower()
+    loaded = trimesh.load_mesh(path, process=False, skip_materials=True)
+    vertices, faces = np.asarray(loaded.vertices), np.asarray(loaded.faces)
+    if suffix == ".stl" and len(vertices):
+        _, first, inverse = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
+        order = np.argsort(first)
+        rank = np.empty_like(order)
+        rank[order] = np.arange(len(order))
+        vertices, faces = vertices[first[order]], rank[inverse.reshape(-1)][faces]
+    declared = _declared_counts(path)
+    if declared is not None:
+        vertex_count, face_count = declared
+        if len(vertices) != vertex_count and len(faces):
+            raise InputError(f"it announces {vertex_count} vertices, {len(vertices)} were read.")
+        _tell_triangulation(path, face_count, len(faces))
+    return Mesh(vertices, faces)
+
+
+def _declared_counts(path: Path) -> tuple[int, int] | None:
+    """Vertex and face count that the head of an OFF or PLY file announces."""
+    suffix = path.suffix.lower()
+    if suffix not in (".off", ".ply"):
+        return None
+    with path.open("rb") as file:
+        head = file.read(65536).decode("latin-1")
+    if suffix == ".ply":
+        words = [line.split() for line in head.split("end_header")[0].splitlines()]
+        counts = {word[1]: int(word[2]) for word in words if word[:1] == ["element"]}
+        return counts.get("vertex", 0), counts.get("face", 0)
+    lines = (line.split("#")[0] for line in head.splitlines())
+    numbers = [word for line in lines for word in line.split()]
+    if numbers[0].endswith("OFF") and len(numbers) > 2:
+        return int(numbers[1]), int(numbers[2])
+    return None
+
+
+def _tell_triangulation(path: Path, before: int, after: int) -> None:
+    if before != after:
+        _log.warning("'%s': %d polygons were cut into %d triangles.", path, before, after)
+
+
+def _read_obj(path: Path) -> Mesh:
+    """Read an OBJ file's positions and faces.
+
+    Done here because the libraries split vertices along texture seams or drop those without a
+    face, and then a map no longer fits the user's file.
+    """
+    text = path.read_text(encoding="utf-8", errors="replace").replace("\\\n", " ")
+    lines = [line.split("#")[0] for line in text.splitlines()]
+    positions = [line.split()[1:4] for line in lines if line.startswith(("v ", "v\t"))]
+    if not positions:
+        raise InputError("there are no vertices in it.")
+    vertices = np.loadtxt(io.StringIO("\n".join(map(" ".join, positions))), ndmin=2)
+    triangles: list[tuple[int, int, int]] = []
+    face_count = 0
+    seen = 0
+    for line in lines:
+        if line.startswith(("v ", "v\t")):
+            seen += 1
+        elif line.startswith(("f ", "f\t")):
+            corners = [_obj_index(word, seen) for word in line.split()[1:]]
+            face_count += 1
+            triangles += [
+                (corners[0], b, c) for b, c in zip(corners[1:], corners[2:], strict=False)
+            ]
+    _tell_triangulation(path, face_count, len(triangles))
+    faces: IntArray = np.array(triangles, dtype=np.int64).reshape(-1, 3)
+    return Mesh(vertices, faces)
+
+
+def _obj_index(corner: str, seen: int) -> int:
+    """Index from 0 of a corner such as `7/2/7`; negative ones count back from the last vertex."""
+    index = int(corner.split("/")[0])
+    if index == 0:
+        raise InputError("faces count their vertices from 1; one has 0.")
+    return index - 1 if index > 0 else seen + index
