@@ -143,9 +143,7 @@ def _read_obj(path: Path) -> Mesh:
         elif line.startswith(("f ", "f\t")):
             corners = [_obj_index(word, seen) for word in line.split()[1:]]
             face_count += 1
-            triangles += [
-                (corners[0], b, c) for b, c in zip(corners[1:], corners[2:], strict=False)
-            ]
+            triangles += [(corners[0], b, c) for b, c in pairwise(corners[1:])]
     _tell_triangulation(path, face_count, len(triangles))
     faces: IntArray = np.array(triangles, dtype=np.int64).reshape(-1, 3)
     return Mesh(vertices, faces)

@@ -1,0 +1,144 @@
+"""A recipe says which descriptors are computed and how; it is data, and part of every model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+
+from esd.common import FloatArray, InputError
+from esd.descriptors.gps import gps
+from esd.descriptors.hks import hks
+from esd.descriptors.sihks import sihks
+from esd.descriptors.wks import wks
+from esd.mesh.mesh import Mesh, surface_area
+from esd.spectral.cache import Cache
+from esd.spectral.laplacian import LaplacianKind
+from esd.spectral.spectrum import Spectrum, spectrum
+
+_DESCRIPTORS = {"gps": gps, "hks": hks, "wks": wks, "sihks": sihks}
+_WIDTHS = {"gps": 25, "hks": 100, "wks": 100, "sihks": 19}
+
+DESCRIPTOR_KINDS = tuple(_DESCRIPTORS)
+"""Names of the descriptors that have a value at each vertex."""
+
+
+@dataclass(frozen=True, slots=True)
+class Descriptor:
+    """One descriptor of a recipe.
+
+    Parameters
+    ----------
+    kind
+        One of `DESCRIPTOR_KINDS`.
+    count
+        Number of its components.
+    log
+        Whether its logarithm is taken; for positive descriptors.
+    options
+        Further keyword arguments of the descriptor's function, such as `variant`.
+    """
+
+    kind: str
+    count: int
+    log: bool = False
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.kind not in _DESCRIPTORS:
+            known = ", ".join(DESCRIPTOR_KINDS)
+            raise InputError(f"There is no descriptor '{self.kind}'; expected one of {known}.")
+        if self.log and self.kind == "gps":
+            raise InputError("GPS has negative components: it has no logarithm.")
+
+
+@dataclass(frozen=True, slots=True)
+class Recipe:
+    """Which descriptors stand side by side in the columns, and of which spectrum.
+
+    Parameters
+    ----------
+    descriptors
+        In the order of their columns.
+    eigenpairs
+        Number of eigenpairs, the constant ones included.
+    laplacian
+        Which Laplacian, see `esd.spectral.laplacian`.
+    unit_area
+        Whether the shape is scaled to unit area first, which makes all independent of its units.
+    """
+
+    descriptors: tuple[Descriptor, ...]
+    eigenpairs: int = 300
+    laplacian: LaplacianKind = "cotangent"
+    unit_area: bool = True
+
+    @property
+    def width(self) -> int:
+        """Number of columns."""
+        return sum(part.count for part in self.descriptors)
+
+    def to_json(self) -> dict[str, Any]:
+        """The recipe as plain data, from which `from_json` makes an equal one."""
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Recipe:
+        """The recipe of `to_json`.
+
+        Raises
+        ------
+        InputError
+            If the data describe none.
+        """
+        try:
+            parts = tuple(Descriptor(**part) for part in data["descriptors"])
+            return cls(**{**data, "descriptors": parts})
+        except (TypeError, KeyError) as error:
+            raise InputError(f"This is no descriptor recipe: {error}.") from error
+
+
+def single_recipe(kind: str, *, log: bool = False) -> Recipe:
+    """The recipe of one descriptor with the paper's parameters.
+
+    Raises
+    ------
+    InputError
+        If there is no such descriptor.
+    """
+    return Recipe((Descriptor(kind, _WIDTHS.get(kind, 0), log=log),))
+
+
+def descriptors(recipe: Recipe, mesh: Mesh, *, cache: Cache | None = None) -> FloatArray:
+    """Values of a recipe's descriptors, (n, recipe.width); NaN at vertices without a face.
+
+    Parameters
+    ----------
+    cache
+        Where the spectrum is looked up and kept.
+
+    Raises
+    ------
+    InputError
+        If the mesh has too few vertices for the recipe.
+    """
+    pairs = spectrum(mesh, recipe.eigenpairs, kind=recipe.laplacian, cache=cache)
+    if not recipe.unit_area:
+        pairs = pairs.with_area(surface_area(mesh))
+    return spectrum_descriptors(recipe, pairs)
+
+
+def spectrum_descriptors(recipe: Recipe, pairs: Spectrum) -> FloatArray:
+    """Values of a recipe's descriptors from a spectrum, (n, recipe.width)."""
+    columns = [_values(part, pairs) for part in recipe.descriptors]
+    values = np.concatenate(columns, axis=1)
+    values[pairs.mass == 0] = np.nan
+    return values
+
+
+def _values(part: Descriptor, pairs: Spectrum) -> FloatArray:
+    compute: Any = _DESCRIPTORS[part.kind]
+    values: FloatArray = compute(pairs, count=part.count, **part.options)
+    return np.log(np.maximum(values, np.finfo(float).tiny)) if part.log else values

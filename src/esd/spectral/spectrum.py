@@ -1,0 +1,149 @@
+"""The Laplace-Beltrami spectrum of a mesh."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from esd.common import FloatArray, InputError, whole_file
+from esd.mesh.mesh import Mesh, components, is_referenced
+from esd.spectral.cache import Arrays, Cache, content_key
+from esd.spectral.eigensolver import eigenpairs
+from esd.spectral.laplacian import LaplacianKind, laplacian
+
+_SOLVER_VERSION = 1  # part of the cache's keys; raised when the eigenpairs may change
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Spectrum:
+    """Smallest eigenpairs of the Laplace-Beltrami operator, L φ = λ M φ with Φᵀ M Φ = I.
+
+    Parameters
+    ----------
+    eigenvalues : (k,)
+        Ascending, in units of 1 / area; the first `zero_modes` are exactly zero.
+    eigenvectors : (n, k)
+        In units of 1 / √area. Zero at vertices without a face. Their signs, and bases within
+        repeated eigenvalues, are arbitrary.
+    mass : (n,)
+        Lumped mass: the area that belongs to each vertex. Zero at vertices without a face.
+    zero_modes : int
+        Number of connected components, and so of constant eigenvectors.
+    """
+
+    eigenvalues: FloatArray
+    eigenvectors: FloatArray
+    mass: FloatArray
+    zero_modes: int
+
+    @property
+    def area(self) -> float:
+        """Area of the surface: the sum of the mass; one unless it was rescaled."""
+        return float(self.mass.sum())
+
+    def with_area(self, area: float) -> Spectrum:
+        """The spectrum of the shape scaled to an area: λ ∝ 1 / area, φ ∝ 1 / √area, M ∝ area."""
+        factor = area / self.area
+        return replace(
+            self,
+            eigenvalues=self.eigenvalues / factor,
+            eigenvectors=self.eigenvectors / np.sqrt(factor),
+            mass=self.mass * factor,
+        )
+
+    def truncated(self, k: int) -> Spectrum:
+        """The first k eigenpairs.
+
+        Raises
+        ------
+        InputError
+            If there are fewer.
+        """
+        if not self.zero_modes < k <= len(self.eigenvalues):
+            raise InputError(
+                f"`k` must be from {self.zero_modes + 1} to {len(self.eigenvalues)}, "
+                f"the pairs at hand; got {k}."
+            )
+        return replace(
+            self, eigenvalues=self.eigenvalues[:k], eigenvectors=self.eigenvectors[:, :k]
+        )
+
+    def nonzero(self) -> tuple[FloatArray, FloatArray]:
+        """Eigenvalues and eigenvectors without the constant modes."""
+        return self.eigenvalues[self.zero_modes :], self.eigenvectors[:, self.zero_modes :]
+
+
+def spectrum(
+    mesh: Mesh, k: int = 300, *, kind: LaplacianKind = "cotangent", cache: Cache | None = None
+) -> Spectrum:
+    """The k smallest eigenpairs of a mesh's Laplace-Beltrami operator, for unit surface area.
+
+    Scaling to unit area makes all that is computed from the result independent of the units of
+    the mesh; `Spectrum.with_area` undoes it.
+
+    Parameters
+    ----------
+    mesh
+        Any number of components, with or without boundary.
+    k
+        Number of eigenpairs, the constant ones included.
+    kind
+        Which Laplacian, see `laplacian`.
+    cache
+        Where the result is looked up and kept.
+
+    Raises
+    ------
+    InputError
+        If the mesh has no area, or no more than k vertices or too many components for k.
+    """
+    referenced = is_referenced(mesh)
+    zero_modes = int(components(mesh).max()) + 1
+    size = int(referenced.sum())
+    if not zero_modes < k <= size:
+        raise InputError(
+            f"{k} eigenpairs were asked for; this mesh of {size} connected vertices in "
+            f"{zero_modes} component(s) allows {zero_modes + 1} to {size}. "
+            "Ask for another number, or refine or repair the mesh."
+        )
+
+    def compute() -> Arrays:
+        matrix, mass = laplacian(mesh, kind=kind)
+        area = mass.sum()
+        if not area > 0:
+            raise InputError("The mesh has no area: all its faces are degenerate.")
+        solution = eigenpairs(matrix[referenced][:, referenced], mass[referenced] / area, k)
+        eigenvectors = np.zeros((len(mesh.vertices), k))
+        eigenvectors[referenced] = solution.eigenvectors
+        eigenvalues = solution.eigenvalues.copy()
+        eigenvalues[:zero_modes] = 0.0
+        return {"eigenvalues": eigenvalues, "eigenvectors": eigenvectors, "mass": mass / area}
+
+    if cache is None:
+        return Spectrum(**compute(), zero_modes=zero_modes)
+    parameters = {"k": k, "kind": kind, "solver": _SOLVER_VERSION}
+    key = content_key("spectrum", mesh.vertices, mesh.faces, **parameters)
+    return Spectrum(**cache.computed(key, compute), zero_modes=zero_modes)
+
+
+def save_spectrum(result: Spectrum, path: str | os.PathLike[str]) -> None:
+    """Write eigenvalues, eigenvectors, mass and zero modes to a `.npz` file.
+
+    Raises
+    ------
+    InputError
+        If the suffix is another, or the file cannot be written.
+    """
+    if Path(path).suffix != ".npz":
+        raise InputError(f"'{path}': spectra are written as .npz files.")
+    with whole_file(path) as temporary, temporary.open("wb") as file:
+        np.savez(
+            file,
+            eigenvalues=result.eigenvalues,
+            eigenvectors=result.eigenvectors,
+            mass=result.mass,
+            zero_modes=np.int64(result.zero_modes),
+        )
