@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from itertools import permutations
+from pathlib import Path
 
-from esd.common import IntArray
+from esd.common import InputError, IntArray
 from esd.mesh.mesh import Mesh
 
 
@@ -43,3 +47,97 @@ class Collection:
 
     name: str
     shapes: tuple[Shape, ...]
+
+    def __getitem__(self, name: str) -> Shape:
+        """The shape of a name.
+
+        Raises
+        ------
+        InputError
+            If there is none.
+        """
+        for shape in self.shapes:
+            if shape.name == name:
+                return shape
+        some = ", ".join(shape.name for shape in self.shapes[:3])
+        raise InputError(f"'{self.name}' has no shape '{name}'; it has {some}, …")
+
+    @property
+    def subjects(self) -> tuple[str, ...]:
+        """Subjects, each once, in order of first appearance."""
+        return tuple(dict.fromkeys(shape.subject for shape in self.shapes))
+
+    def including(self, patterns: str) -> Collection:
+        """Shapes whose name matches one of some patterns.
+
+        Parameters
+        ----------
+        patterns
+            Shell patterns (`*`, `?`, `[0-5]`), with commas between them.
+
+        Raises
+        ------
+        InputError
+            If no shape matches.
+        """
+        wanted = [pattern.strip() for pattern in patterns.split(",")]
+        chosen = tuple(
+            shape for shape in self.shapes if any(fnmatchcase(shape.name, p) for p in wanted)
+        )
+        if not chosen:
+            some = ", ".join(shape.name for shape in self.shapes[:3])
+            raise InputError(f"No shape of '{self.name}' matches '{patterns}'; it has {some}, …")
+        return replace(self, shapes=chosen)
+
+    def of_subjects(self, subjects: Sequence[str]) -> Collection:
+        """Shapes of some subjects."""
+        wanted = set(subjects)
+        return replace(self, shapes=tuple(s for s in self.shapes if s.subject in wanted))
+
+    def pairs(self) -> tuple[tuple[Shape, Shape], ...]:
+        """Ordered pairs (source, target) of different subjects of one template.
+
+        Where no two shapes are so, all ordered pairs of one template.
+
+        Raises
+        ------
+        InputError
+            If there is no such pair either.
+        """
+        every = [(s, t) for s, t in permutations(self.shapes, 2) if s.template == t.template]
+        if not every:
+            raise InputError(f"'{self.name}' has no two shapes that correspond with each other.")
+        different = [(s, t) for s, t in every if s.subject != t.subject]
+        return tuple(different or every)
+
+
+def read_pairs(
+    path: str | os.PathLike[str], collection: Collection
+) -> tuple[tuple[Shape, Shape], ...]:
+    """Pairs (source, target) listed in a file: two shape names with a tab between, one pair a line.
+
+    Raises
+    ------
+    InputError
+        If the file is not so, or names an unknown shape or two that do not correspond.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"There is no file '{path}'.")
+    pairs = []
+    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
+        if not line.strip():
+            continue
+        names = [name.strip() for name in line.split("\t")]
+        if len(names) != 2:
+            raise InputError(
+                f"'{path}', line {number}: expected two shape names with a tab between; "
+                f"got '{line}'."
+            )
+        source, target = collection[names[0]], collection[names[1]]
+        if source.template != target.template:
+            raise InputError(f"'{path}', line {number}: '{line}' do not correspond.")
+        pairs.append((source, target))
+    if not pairs:
+        raise InputError(f"'{path}' lists no pair.")
+    return tuple(pairs)

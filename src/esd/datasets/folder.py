@@ -1,0 +1,142 @@
+"""Collections in folders: shapes with `.vts` correspondences, or meshes of one connectivity."""
+
+from __future__ import annotations
+
+import csv
+import os
+import re
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from esd.common import InputError, IntArray
+from esd.datasets.collection import Collection, Shape
+from esd.mesh.files import FORMATS, read_mesh
+
+_SUBJECT_PATTERNS = (
+    r"tr_reg_(\d+)\d",  # FAUST: the last digit is the pose
+    r"(5\d{4})_.+",  # Dyna, D-FAUST: subject_sequence
+    r"(s\d+)_p\d+",  # bodies
+)
+_TOSCA = "cat|centaur|david|dog|gorilla|horse|lioness|michael|seahorse|victoria|wolf"
+
+
+def folder_collection(path: str | os.PathLike[str]) -> Collection:
+    """The collection in a folder.
+
+    The meshes lie in the folder or in `shapes/` within it. Where there is a folder `corres` (or
+    `corr`), its `NAME.vts` holds the 1-based vertex of shape NAME at each point of the template,
+    one a line, and `NAME.sym.vts` the same under left-right symmetry. Where there is none, all
+    meshes must have one connectivity, and equal indices correspond.
+
+    Subjects follow from the names of FAUST, TOSCA, Dyna and D-FAUST; elsewhere each shape is a
+    subject of its own. A file `subjects.csv` with the columns `name,subject` and, if shapes of
+    several kinds do not correspond with each other, `template`, overrides that.
+
+    Raises
+    ------
+    InputError
+        If there is no collection in the folder.
+    """
+    folder = Path(path)
+    if not folder.is_dir():
+        raise InputError(f"There is no data set '{folder}': expected a folder of shapes.")
+    shapes_folder = folder / "shapes" if (folder / "shapes").is_dir() else folder
+    files = sorted(f for f in shapes_folder.iterdir() if f.suffix.lower() in FORMATS)
+    if not files:
+        raise InputError(f"There is no mesh in '{shapes_folder}' ({', '.join(FORMATS)}).")
+    names = [file.stem for file in files]
+    if len(set(names)) != len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise InputError(f"'{shapes_folder}' has several meshes named '{twice}'.")
+    listed = _listed_subjects(folder / "subjects.csv")
+    for name in ("corres", "corr"):
+        if (folder / name).is_dir():
+            shapes = [_with_vts(file, folder / name, listed) for file in files]
+            break
+    else:
+        shapes = _of_one_connectivity(files, listed)
+    return Collection(folder.resolve().name, tuple(shapes))
+
+
+def read_vts(path: str | os.PathLike[str]) -> IntArray:
+    """Vertex indices from 0 in a `.vts` file, which holds one index from 1 a line.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or holds anything but positive integers.
+    """
+    path = Path(path)
+    try:
+        index = np.array(path.read_text(encoding="ascii").split(), dtype=np.int64)
+    except FileNotFoundError:
+        raise InputError(f"There is no correspondence '{path}'.") from None
+    except (ValueError, UnicodeDecodeError, OverflowError) as error:
+        raise InputError(f"'{path}' must hold one vertex index a line: {error}.") from error
+    if len(index) == 0:
+        raise InputError(f"'{path}' is empty.")
+    if index.min() < 1:
+        raise InputError(f"'{path}' holds {index.min()}; .vts files count vertices from 1.")
+    return index - 1
+
+
+def _with_vts(file: Path, corres: Path, listed: Mapping[str, tuple[str, str | None]]) -> Shape:
+    vts = corres / f"{file.stem}.vts"
+    if not vts.is_file():
+        raise InputError(f"The shape '{file.name}' has no correspondence '{vts}'.")
+    mirrored = corres / f"{file.stem}.sym.vts"
+    subject, template = _identity(file.stem, listed)
+    return Shape(
+        name=file.stem,
+        subject=subject,
+        template=template,
+        mesh=partial(read_mesh, file),
+        correspondence=partial(read_vts, vts),
+        symmetric=partial(read_vts, mirrored) if mirrored.is_file() else None,
+    )
+
+
+def _of_one_connectivity(
+    files: list[Path], listed: Mapping[str, tuple[str, str | None]]
+) -> list[Shape]:
+    first = read_mesh(files[0])
+    shapes = []
+    for file in files:
+        mesh = read_mesh(file)
+        if mesh.vertices.shape != first.vertices.shape or (mesh.faces != first.faces).any():
+            raise InputError(
+                f"'{file.name}' has another connectivity than '{files[0].name}'. Meshes of several "
+                "connectivities need correspondences: put them in 'shapes/' and 'corres/NAME.vts'."
+            )
+        subject, template = _identity(file.stem, listed)
+        everywhere = partial(np.arange, len(first.vertices))
+        shapes.append(Shape(file.stem, subject, template, partial(read_mesh, file), everywhere))
+    return shapes
+
+
+def _identity(name: str, listed: Mapping[str, tuple[str, str | None]]) -> tuple[str, str]:
+    """Subject and template of a shape."""
+    if name in listed:
+        subject, template = listed[name]
+        return subject, template or "template"
+    tosca = re.fullmatch(rf"({_TOSCA})\d+", name)
+    if tosca:
+        return tosca[1], tosca[1]
+    for pattern in _SUBJECT_PATTERNS:
+        found = re.fullmatch(pattern, name)
+        if found:
+            return found[1], "template"
+    return name, "template"
+
+
+def _listed_subjects(path: Path) -> dict[str, tuple[str, str | None]]:
+    if not path.is_file():
+        return {}
+    with path.open(newline="", encoding="utf-8") as file:
+        rows = csv.DictReader(file)
+        if not {"name", "subject"} <= set(rows.fieldnames or ()):
+            raise InputError(f"'{path}' must have the columns name,subject (and template).")
+        return {row["name"]: (row["subject"], row.get("template")) for row in rows}
