@@ -1,0 +1,237 @@
+"""Evaluation of a model over pairs of shapes with known correspondence."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from multiprocessing import get_context
+
+import numpy as np
+
+from esd.common import FloatArray, InputError, IntArray
+from esd.datasets.collection import Shape
+from esd.evaluation.errors import area_under_curve, geodesic_errors
+from esd.learning.model import Model
+from esd.matching.match import match_embedded
+from esd.mesh.geodesics import geodesic_diameter, geodesic_graph
+from esd.mesh.mesh import Mesh, surface_area
+from esd.spectral.cache import Cache
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PairErrors:
+    """Errors of one map at the points of the template that both shapes have.
+
+    Parameters
+    ----------
+    source, target
+        Names of the shapes.
+    errors, symmetric_errors : (p,)
+        Geodesic distance to the true vertex, and to the nearer of the true and the mirrored one,
+        in units of length; NaN where the map has no match. The second is None where no mirrored
+        truth is known.
+    square_root_area, diameter
+        Of the target, in units of length.
+    coverage
+        Share of the target's vertices that some source vertex is mapped to.
+    """
+
+    source: str
+    target: str
+    errors: FloatArray
+    symmetric_errors: FloatArray | None
+    square_root_area: float
+    diameter: float
+    coverage: float
+
+
+@dataclass(frozen=True, slots=True)
+class Evaluation:
+    """Figures over all pairs: means over pairs of the figures of each.
+
+    Parameters
+    ----------
+    mean_geodesic_error_x100, median_geodesic_error_x100
+        100 times the error over √area. Points without a match are left out.
+    symmetric_mean_geodesic_error_x100
+        The mean with the nearer of the true and the mirrored vertex; None where unknown.
+    accuracy_5pct_diameter
+        Share of the points with an error of at most 5 % of the geodesic diameter; points without
+        a match count as wrong.
+    auc
+        Area under the cumulative curve of error over √area from 0 to 0.25, between 0 and 1.
+    coverage
+        Share of the target's vertices that are matched.
+    worst_pair_x100
+        Largest mean error of a pair, 100 times over √area.
+    matched
+        Share of the points that have a match.
+    pairs
+        Number of pairs.
+    seconds
+        Wall time.
+    """
+
+    mean_geodesic_error_x100: float
+    median_geodesic_error_x100: float
+    symmetric_mean_geodesic_error_x100: float | None
+    accuracy_5pct_diameter: float
+    auc: float
+    coverage: float
+    worst_pair_x100: float
+    matched: float
+    pairs: int
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Embedded:
+    name: str
+    mesh: Mesh
+    values: FloatArray
+    index: IntArray
+    symmetric: IntArray | None
+
+
+def evaluate(
+    model: Model,
+    pairs: Sequence[tuple[Shape, Shape]],
+    *,
+    reject: bool = False,
+    processes: int = 1,
+    cache: Cache | None = None,
+    on_pair: Callable[[], None] = lambda: None,
+) -> tuple[Evaluation, tuple[PairErrors, ...]]:
+    """Figures of a model over pairs of shapes, and the errors of each pair.
+
+    Parameters
+    ----------
+    pairs
+        Source and target shapes.
+    reject
+        Whether matches beyond the model's threshold are dropped.
+    processes
+        Number of processes that measure distances.
+    cache
+        Where spectra are looked up and kept.
+    on_pair
+        Called after each pair, to show progress.
+
+    Raises
+    ------
+    InputError
+        If a shape cannot be read, or rejection is asked of a model without a margin.
+    """
+    if reject and model.margin is None:
+        raise InputError(f"'{model.name}' has no margin, and so no threshold to reject by.")
+    start = time.perf_counter()
+    shapes = {shape.name: shape for pair in pairs for shape in pair}
+    embedded = {name: _embedded(model, shape, cache) for name, shape in shapes.items()}
+    sources: dict[str, list[_Embedded]] = {}
+    for source, target in pairs:
+        sources.setdefault(target.name, []).append(embedded[source.name])
+    jobs = [(embedded[name], group) for name, group in sources.items()]
+    work = partial(_errors_on_target, margin=model.margin, reject=reject)
+    found: list[PairErrors] = []
+    with _mapping(min(processes, len(jobs))) as mapping:
+        for results in mapping(work, jobs):
+            found += results
+            for _ in results:
+                on_pair()
+    return _summary(found, time.perf_counter() - start), tuple(found)
+
+
+@contextmanager
+def _mapping(processes: int) -> Iterator[Callable[..., Iterable[list[PairErrors]]]]:
+    """`map`, over processes if there are several: shortest paths hold the interpreter's lock."""
+    if processes <= 1:
+        yield map
+        return
+    # spawned, because forking a process that runs threads can hang
+    with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
+        yield pool.map
+
+
+def _embedded(model: Model, shape: Shape, cache: Cache | None) -> _Embedded:
+    mesh = shape.mesh()
+    index = shape.correspondence()
+    symmetric = shape.symmetric() if shape.symmetric is not None else None
+    for truth in (index, symmetric):
+        if truth is not None and truth.max() >= len(mesh.vertices):
+            raise InputError(
+                f"The correspondence of '{shape.name}' names vertex {truth.max()} (from 0); "
+                f"its mesh has {len(mesh.vertices)} vertices."
+            )
+    try:
+        values = model.embed_mesh(mesh, cache=cache)
+    except InputError as error:
+        raise InputError(f"'{shape.name}': {error}") from error
+    return _Embedded(shape.name, mesh, values, index, symmetric)
+
+
+def _errors_on_target(
+    job: tuple[_Embedded, list[_Embedded]], *, margin: float | None, reject: bool
+) -> list[PairErrors]:
+    """Errors of the maps from several sources to one target."""
+    target, sources = job
+    graph = geodesic_graph(target.mesh)
+    diameter = geodesic_diameter(target.mesh, graph=graph)
+    maps = []
+    for source in sources:
+        match = match_embedded(source.values, target.values, margin=margin)
+        if reject and margin is not None:
+            match = match.rejecting(margin / 2)
+        maps.append(match.target_index)
+    # all maps at once, so that each target vertex is the source of distances only once
+    predicted = [
+        np.where(source.index >= 0, index[source.index], -1)
+        for source, index in zip(sources, maps, strict=True)
+    ]
+    truths = [target.index] if target.symmetric is None else [target.index, target.symmetric]
+    stacked = tuple(np.tile(truth, len(sources)) for truth in truths)
+    errors = [
+        np.minimum(error, diameter).reshape(len(sources), -1)  # another component: infinitely far
+        for error in geodesic_errors(graph, np.concatenate(predicted), stacked)
+    ]
+    nearer = errors[0] if len(errors) == 1 else np.fmin(*errors)
+    return [
+        PairErrors(
+            source=source.name,
+            target=target.name,
+            errors=errors[0][i],
+            symmetric_errors=None if target.symmetric is None else nearer[i],
+            square_root_area=surface_area(target.mesh) ** 0.5,
+            diameter=diameter,
+            coverage=len(np.unique(maps[i][maps[i] >= 0])) / len(target.mesh.vertices),
+        )
+        for i, source in enumerate(sources)
+    ]
+
+
+def _summary(found: Sequence[PairErrors], seconds: float) -> Evaluation:
+    scaled = [pair.errors / pair.square_root_area for pair in found]
+    symmetric = [
+        float(np.nanmean(pair.symmetric_errors / pair.square_root_area))
+        for pair in found
+        if pair.symmetric_errors is not None
+    ]
+    means = [float(np.nanmean(error)) for error in scaled]
+    within = [float((pair.errors <= 0.05 * pair.diameter).mean()) for pair in found]
+    return Evaluation(
+        mean_geodesic_error_x100=100 * float(np.mean(means)),
+        median_geodesic_error_x100=100 * float(np.mean([np.nanmedian(e) for e in scaled])),
+        symmetric_mean_geodesic_error_x100=(
+            100 * float(np.mean(symmetric)) if len(symmetric) == len(found) else None
+        ),
+        accuracy_5pct_diameter=float(np.mean(within)),
+        auc=float(np.mean([area_under_curve(error) for error in scaled])),
+        coverage=float(np.mean([pair.coverage for pair in found])),
+        worst_pair_x100=100 * max(means),
+        matched=float(np.mean([np.isfinite(error).mean() for error in scaled])),
+        pairs=len(found),
+        seconds=seconds,
+    )

@@ -1,0 +1,68 @@
+"""What training minimises, and the criteria by which an embedding of pairs is judged."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from esd.common import FloatArray
+
+
+def contrastive_loss(squared_distance: Any, label: Any, *, margin: float) -> Any:
+    """Loss of each pair, (b,): y d² + (1 − y) max(0, C − d²).
+
+    Works on arrays and on tensors alike.
+
+    Parameters
+    ----------
+    squared_distance : (b,)
+        d², squared distances of the embedded pairs.
+    label : (b,)
+        y, one for pairs that correspond.
+    margin
+        C, a bound on the squared distance (equation 7 of the paper, which takes 5).
+    """
+    return label * squared_distance + (1 - label) * (margin - squared_distance).clip(min=0)
+
+
+@dataclass(frozen=True, slots=True)
+class PairCriteria:
+    """The paper's criteria (section 3.6) over a set of pairs.
+
+    Parameters
+    ----------
+    loss_sum
+        Sum of the contrastive loss: the paper's LSS.
+    loss_mean
+        The same, a pair.
+    miss_rate
+        Share of the corresponding pairs that lie farther apart than the threshold; the paper
+        calls it true-negative rate (TNR).
+    false_match_rate
+        Share of the other pairs that lie nearer: the paper's FPR.
+    error_rate
+        Sum of the two: the paper's ERR.
+    """
+
+    loss_sum: float
+    loss_mean: float
+    miss_rate: float
+    false_match_rate: float
+    error_rate: float
+
+
+def pair_criteria(
+    squared_distance: FloatArray, label: FloatArray, *, margin: float
+) -> PairCriteria:
+    """Criteria of embedded pairs, those with label one being the corresponding ones.
+
+    The threshold is half of the margin, both on the squared distance.
+    """
+    loss = contrastive_loss(squared_distance, label, margin=margin)
+    match = label == 1
+    miss = float((squared_distance[match] > margin / 2).mean())
+    false_match = float((squared_distance[~match] <= margin / 2).mean())
+    total = float(np.sum(loss, dtype=np.float64))
+    return PairCriteria(total, total / len(label), miss, false_match, miss + false_match)

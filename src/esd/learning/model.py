@@ -1,0 +1,248 @@
+"""Trained embeddings: as data, as a folder, and at work without torch."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from safetensors import SafetensorError
+from safetensors.numpy import load_file, save_file
+
+from esd.common import FloatArray, InputError
+from esd.descriptors.recipe import DESCRIPTOR_KINDS, Recipe, descriptors, single_recipe
+from esd.mesh.mesh import Mesh
+from esd.spectral.cache import Cache
+
+_FORMAT = 1
+_LARGEST_FILE = 2**30
+_BUNDLED = Path(__file__).parent / "models"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Layer:
+    """A fully connected layer: weight (outputs, inputs) and bias (outputs,), float32."""
+
+    weight: npt.NDArray[np.float32]
+    bias: npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Model:
+    """An embedding of descriptors, in which Euclidean distance tells how well points match.
+
+    Parameters
+    ----------
+    name
+        What to call it in tables.
+    recipe
+        The descriptors it takes.
+    mean, deviation : (recipe.width,) float64
+        Subtracted from the descriptors, and what they are then divided by.
+    layers
+        Applied in turn with ReLU between them. None for a raw descriptor.
+    margin
+        C of the contrastive loss, in squared units of the embedding; None where there was none.
+    card
+        What it was trained on, how, and how it did: plain data.
+    """
+
+    name: str
+    recipe: Recipe
+    mean: FloatArray
+    deviation: FloatArray
+    layers: tuple[Layer, ...] = ()
+    margin: float | None = None
+    card: Mapping[str, Any] = field(default_factory=dict)
+
+    def embed(self, values: FloatArray) -> FloatArray:
+        """Embedding (n, outputs) float64 of descriptors (n, recipe.width).
+
+        Raises
+        ------
+        InputError
+            If the descriptors are not as wide as those of the recipe.
+        """
+        if values.ndim != 2 or values.shape[1] != self.recipe.width:
+            raise InputError(
+                f"The model takes descriptors of shape (n, {self.recipe.width}); "
+                f"got {values.shape}."
+            )
+        result = (values - self.mean) / self.deviation
+        for i, layer in enumerate(self.layers):
+            result = (np.maximum(result, 0) if i else result) @ layer.weight.T + layer.bias
+        return result
+
+    def embed_mesh(self, mesh: Mesh, *, cache: Cache | None = None) -> FloatArray:
+        """Embedding (n, outputs) of the vertices of a mesh; NaN at vertices without a face."""
+        return self.embed(descriptors(self.recipe, mesh, cache=cache))
+
+
+def raw_model(kind: str) -> Model:
+    """The model that leaves a descriptor as it is.
+
+    Raises
+    ------
+    InputError
+        If there is no such descriptor.
+    """
+    recipe = single_recipe(kind)
+    return Model(kind, recipe, np.zeros(recipe.width), np.ones(recipe.width))
+
+
+def bundled_models() -> tuple[str, ...]:
+    """Names of the models that ship with the package."""
+    return tuple(sorted(path.parent.name for path in _BUNDLED.glob("*/config.json")))
+
+
+def load_model(model: str | os.PathLike[str]) -> Model:
+    """The model in a folder, a bundled one by its name, or a raw descriptor by its name.
+
+    Nothing in the folder is executed or unpickled.
+
+    Raises
+    ------
+    InputError
+        If there is no such model, or its files are damaged or do not fit each other.
+    """
+    folder = Path(model)
+    if not folder.exists():
+        if str(model) in DESCRIPTOR_KINDS:
+            return raw_model(str(model))
+        folder = _BUNDLED / folder.name if folder.name == str(model) else folder
+    if not (folder / "config.json").is_file():
+        known = ", ".join([*bundled_models(), *DESCRIPTOR_KINDS])
+        raise InputError(f"There is no model '{model}': expected a model folder or one of {known}.")
+    config = _read_config(folder / "config.json")
+    weights = _read_weights(folder / "model.safetensors")
+    try:
+        recipe = Recipe.from_json(config["recipe"])
+        count = len(config["layers"]) - 1
+        loaded = Model(
+            name=folder.resolve().name,
+            recipe=recipe,
+            mean=weights["mean"],
+            deviation=weights["deviation"],
+            layers=tuple(
+                Layer(weights[f"layer{i}.weight"], weights[f"layer{i}.bias"]) for i in range(count)
+            ),
+            margin=config["margin"],
+            card=config["card"],
+        )
+    except (KeyError, TypeError) as error:
+        raise InputError(f"The model '{folder}' lacks {error}.") from error
+    _check_fit(loaded, config["layers"], folder)
+    return loaded
+
+
+def save_model(model: Model, folder: str | os.PathLike[str]) -> None:
+    """Write a model folder whole, in place of a model that stood there.
+
+    Raises
+    ------
+    InputError
+        If something that is no model stands there, or it cannot be written.
+    """
+    folder = Path(folder)
+    check_model_destination(folder)
+    config = {
+        "format": _FORMAT,
+        "recipe": model.recipe.to_json(),
+        "layers": layer_widths(model),
+        "margin": model.margin,
+        "card": dict(model.card),
+    }
+    arrays: dict[str, npt.NDArray[Any]] = {"mean": model.mean, "deviation": model.deviation}
+    for i, layer in enumerate(model.layers):
+        arrays |= {f"layer{i}.weight": layer.weight, f"layer{i}.bias": layer.bias}
+    temporary = Path(tempfile.mkdtemp(dir=folder.parent, prefix=".esd-"))
+    try:
+        save_file(
+            {k: np.ascontiguousarray(v) for k, v in arrays.items()}, temporary / "model.safetensors"
+        )
+        (temporary / "config.json").write_text(json.dumps(config, indent=2) + "\n")
+        (temporary / "README.md").write_text(_readme(replace(model, name=folder.name)))
+        temporary.chmod(0o755)
+        if folder.exists():
+            shutil.rmtree(folder)
+        temporary.replace(folder)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def check_model_destination(folder: Path) -> None:
+    """Raise an `InputError` unless a model may be written there."""
+    if not folder.parent.is_dir():
+        raise InputError(f"The folder '{folder.parent}' does not exist; create it first.")
+    if folder.exists() and not (
+        folder.is_dir() and ((folder / "config.json").is_file() or not any(folder.iterdir()))
+    ):
+        raise InputError(f"'{folder}' exists and is no model; choose another name.")
+    if not os.access(folder.parent, os.W_OK):
+        raise InputError(f"The folder '{folder.parent}' cannot be written to.")
+
+
+def layer_widths(model: Model) -> list[int]:
+    """Numbers of neurons from input to output, (layers + 1,)."""
+    return [model.recipe.width, *(len(layer.bias) for layer in model.layers)]
+
+
+def _read_config(path: Path) -> dict[str, Any]:
+    try:
+        config = json.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, OSError, RecursionError) as error:
+        raise InputError(f"'{path}' is damaged: {error}.") from error
+    if not isinstance(config, dict) or config.get("format") != _FORMAT:
+        raise InputError(f"'{path}' is not of the model format {_FORMAT}; train the model again.")
+    return config
+
+
+def _read_weights(path: Path) -> dict[str, npt.NDArray[Any]]:
+    if not path.is_file():
+        raise InputError(f"There is no '{path}'.")
+    if path.stat().st_size > _LARGEST_FILE:
+        raise InputError(f"'{path}' is larger than any model of this package.")
+    try:
+        return load_file(path)
+    except (SafetensorError, ValueError, OSError) as error:
+        raise InputError(f"'{path}' is damaged: {error}.") from error
+
+
+def _check_fit(model: Model, widths: Sequence[int], folder: Path) -> None:
+    expected = [(model.recipe.width,)] * 2
+    found = [model.mean.shape, model.deviation.shape]
+    for layer, inputs, outputs in zip(model.layers, widths[:-1], widths[1:], strict=True):
+        expected += [(outputs, inputs), (outputs,)]  # type: ignore[list-item]
+        found += [layer.weight.shape, layer.bias.shape]
+    if widths[0] != model.recipe.width or expected != found:
+        raise InputError(
+            f"The weights of '{folder}' do not fit its recipe of {model.recipe.width} descriptors: "
+            "its files are of different models."
+        )
+    arrays = [model.mean, model.deviation, *(a for x in model.layers for a in (x.weight, x.bias))]
+    if not all(np.isfinite(array).all() for array in arrays):
+        raise InputError(f"The weights of '{folder}' are not all finite: the training diverged.")
+
+
+def _readme(model: Model) -> str:
+    parts = ", ".join(
+        f"{'log ' if part.log else ''}{part.kind.upper()} ({part.count})"
+        for part in model.recipe.descriptors
+    )
+    lines = [
+        f"# {model.name}",
+        "",
+        "Embedding of spectral descriptors for point-to-point correspondence, by `esd`.",
+        "",
+        f"- Descriptors: {parts}, from {model.recipe.eigenpairs} eigenpairs",
+        f"- Layers: {' – '.join(map(str, layer_widths(model)))}",
+        *(f"- {key.replace('_', ' ').capitalize()}: {value}" for key, value in model.card.items()),
+    ]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,320 @@
+"""Training of an embedding."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+
+from esd.common import InputError, whole_file
+from esd.datasets.collection import Collection
+from esd.learning.losses import PairCriteria, contrastive_loss, pair_criteria
+from esd.learning.model import Layer, Model
+from esd.learning.network import seeded_network
+from esd.learning.pairs import PairBatch, PointTable, draw_pairs, point_table, standardisation
+from esd.learning.presets import Training
+from esd.spectral.cache import Cache, content_key
+
+CHECK_EVERY = 500
+"""Steps between two looks at the validation shapes, and between two checkpoints."""
+
+_PATIENCE = 10  # looks without improvement after which training stops
+_VALIDATION_BATCHES = 40
+_LARGEST_SEED = 2**32 - 1
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """Where a training stands.
+
+    Parameters
+    ----------
+    step, steps
+        Steps done, and to be done at the most.
+    criteria
+        Of the validation pairs at the last look; None without validation shapes.
+    """
+
+    step: int
+    steps: int
+    criteria: PairCriteria | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pairs:
+    """Pairs held ready to be embedded."""
+
+    values: torch.Tensor
+    batch: PairBatch
+
+
+@dataclass(slots=True, eq=False)
+class _Run:
+    """All that changes during a training, and that a checkpoint keeps."""
+
+    network: torch.nn.Sequential
+    optimiser: torch.optim.Adam
+    step: int
+    best_loss: float
+    best_step: int
+    best_weights: list[torch.Tensor]
+
+
+def train(
+    collection: Collection,
+    training: Training,
+    *,
+    name: str = "model",
+    seed: int = 0,
+    validation: Collection | None = None,
+    checkpoint: str | os.PathLike[str] | None = None,
+    cache: Cache | None = None,
+    on_shape: Callable[[], None] = lambda: None,
+    on_progress: Callable[[Progress], None] = lambda _: None,
+) -> Model:
+    """The embedding learned from pairs of points of a collection.
+
+    Equal arguments and equal numbers of threads give equal weights, also when the training was
+    interrupted and went on from its checkpoint.
+
+    Parameters
+    ----------
+    name
+        Of the model.
+    validation
+        Shapes of other subjects. Given these, the weights with the lowest loss on them are kept,
+        and training stops when it has not fallen for 5,000 steps.
+    checkpoint
+        A file from which an interrupted training goes on, and which is removed at its end.
+    cache
+        Where spectra are looked up and kept.
+    on_shape, on_progress
+        Called after each shape is described, and from time to time during the training.
+
+    Raises
+    ------
+    InputError
+        If the shapes cannot be described, or the checkpoint belongs to another training.
+    """
+    if not 0 <= seed <= _LARGEST_SEED:
+        raise InputError(f"`seed` must be from 0 to {_LARGEST_SEED}; got {seed}.")
+    table = point_table(collection, training.recipe, cache=cache, on_shape=on_shape)
+    width = training.recipe.width
+    mean, deviation = (
+        standardisation(table) if training.standardise else (np.zeros(width), np.ones(width))
+    )
+    table = table.standardised(mean, deviation)
+    held_out = None
+    if validation is not None:
+        held = point_table(validation, training.recipe, cache=cache, on_shape=on_shape)
+        held_out = _fixed_pairs(held.standardised(mean, deviation), training)
+
+    run = _start(training, seed)
+    path = Path(checkpoint) if checkpoint is not None else None
+    identity = _identity(table, held_out, training, seed)
+    if path is not None and path.exists():
+        _resume(run, path, identity)
+    criteria = None
+    while run.step < training.steps and not _is_exhausted(run, held_out):
+        _advance(run, table, training, seed)
+        if held_out is not None:
+            criteria = _look(run, held_out, training)
+        if path is not None:
+            _save_checkpoint(run, path, identity)
+        on_progress(Progress(run.step, training.steps, criteria))
+    if path is not None:
+        path.unlink(missing_ok=True)
+    return Model(
+        name=name,
+        recipe=training.recipe,
+        mean=mean,
+        deviation=deviation,
+        layers=_layers(run.best_weights if held_out is not None else _weights(run.network)),
+        margin=training.margin,
+        card=_card(collection, validation, training, seed, run),
+    )
+
+
+def embedded_criteria(
+    model: Model, collection: Collection, *, batches: int = 100, cache: Cache | None = None
+) -> PairCriteria:
+    """The paper's four criteria of a model, on pairs drawn from a collection as in training.
+
+    Raises
+    ------
+    InputError
+        If the model has no margin, or no two shapes correspond.
+    """
+    if model.margin is None:
+        raise InputError(f"'{model.name}' was trained without a margin; the criteria need one.")
+    table = point_table(collection, model.recipe, cache=cache)
+    draws = _draws(table, range(batches), seed=_LARGEST_SEED, count=512, soft_label=0.2)
+    source, target = (model.embed(table.values[rows]) for rows in (draws.source, draws.target))
+    squared = ((source - target) ** 2).sum(axis=1)
+    return pair_criteria(squared, draws.label, margin=model.margin)
+
+
+def _draws(
+    table: PointTable, steps: Iterable[int], *, seed: int, count: int, soft_label: float
+) -> PairBatch:
+    """The batches of some steps, one after another; each step has a generator of its own."""
+    batches = [
+        draw_pairs(table, np.random.default_rng((seed, step)), count=count, soft_label=soft_label)
+        for step in steps
+    ]
+    return PairBatch(
+        np.concatenate([batch.source for batch in batches]),
+        np.concatenate([batch.target for batch in batches]),
+        np.concatenate([batch.label for batch in batches]),
+    )
+
+
+def _fixed_pairs(table: PointTable, training: Training) -> _Pairs:
+    batch = _draws(
+        table,
+        range(_VALIDATION_BATCHES),
+        seed=_LARGEST_SEED,
+        count=training.batch,
+        soft_label=training.soft_label,
+    )
+    return _Pairs(torch.from_numpy(table.values), batch)
+
+
+def _start(training: Training, seed: int) -> _Run:
+    widths = [training.recipe.width, *training.hidden, training.outputs]
+    network = seeded_network(widths, seed)
+    optimiser = torch.optim.Adam(network.parameters(), lr=training.learning_rate)
+    for parameter in network.parameters():  # the moments exist from the start, as in checkpoints
+        optimiser.state[parameter] = {
+            "step": torch.tensor(0.0),
+            "exp_avg": torch.zeros_like(parameter),
+            "exp_avg_sq": torch.zeros_like(parameter),
+        }
+    return _Run(network, optimiser, 0, float("inf"), 0, _weights(network))
+
+
+def _advance(run: _Run, table: PointTable, training: Training, seed: int) -> None:
+    """Go on to the next look, or to the last step."""
+    values = torch.from_numpy(table.values)
+    stop = min(run.step + CHECK_EVERY, training.steps)
+    for step in range(run.step, stop):
+        batch = draw_pairs(
+            table,
+            np.random.default_rng((seed, step)),
+            count=training.batch,
+            soft_label=training.soft_label,
+        )
+        run.optimiser.param_groups[0]["lr"] = training.learning_rate * training.decay**step
+        squared = _squared_distances(run.network, _Pairs(values, batch))
+        label = torch.from_numpy(batch.label)
+        loss = contrastive_loss(squared, label, margin=training.margin).sum()
+        run.optimiser.zero_grad()
+        loss.backward()
+        run.optimiser.step()
+    run.step = stop
+
+
+def _squared_distances(network: torch.nn.Sequential, pairs: _Pairs) -> torch.Tensor:
+    count = len(pairs.batch.source)
+    rows = torch.from_numpy(np.concatenate([pairs.batch.source, pairs.batch.target]))
+    embedded = network(pairs.values[rows])
+    return ((embedded[:count] - embedded[count:]) ** 2).sum(dim=1)
+
+
+def _look(run: _Run, held_out: _Pairs, training: Training) -> PairCriteria:
+    """The criteria on the validation pairs; keeps the weights if they are the best so far."""
+    with torch.no_grad():
+        squared = _squared_distances(run.network, held_out).double().numpy()
+    criteria = pair_criteria(squared, held_out.batch.label, margin=training.margin)
+    if criteria.loss_mean < run.best_loss:
+        run.best_loss, run.best_step = criteria.loss_mean, run.step
+        run.best_weights = _weights(run.network)
+    return criteria
+
+
+def _is_exhausted(run: _Run, held_out: _Pairs | None) -> bool:
+    return held_out is not None and run.step - run.best_step >= _PATIENCE * CHECK_EVERY
+
+
+def _weights(network: torch.nn.Sequential) -> list[torch.Tensor]:
+    return [parameter.detach().clone() for parameter in network.parameters()]
+
+
+def _layers(weights: list[torch.Tensor]) -> tuple[Layer, ...]:
+    pairs = zip(weights[::2], weights[1::2], strict=True)
+    return tuple(Layer(weight.numpy(), bias.numpy()) for weight, bias in pairs)
+
+
+def _identity(table: PointTable, held_out: _Pairs | None, training: Training, seed: int) -> str:
+    """What a training depends on; a checkpoint goes on only with the same."""
+    arrays: list[npt.NDArray[Any]] = [table.values, *table.rows]
+    if held_out is not None:
+        arrays += [held_out.values.numpy(), held_out.batch.source, held_out.batch.target]
+    return content_key("training", *arrays, training=asdict(training), seed=seed)
+
+
+def _save_checkpoint(run: _Run, path: Path, identity: str) -> None:
+    tensors: dict[str, torch.Tensor] = {}
+    for i, parameter in enumerate(run.network.parameters()):
+        state = run.optimiser.state[parameter]
+        tensors |= {
+            f"{i}.weight": parameter.detach(),
+            f"{i}.best": run.best_weights[i],
+            f"{i}.first_moment": state["exp_avg"],
+            f"{i}.second_moment": state["exp_avg_sq"],
+        }
+    state = {"step": run.step, "best_loss": run.best_loss, "best_step": run.best_step}
+    with whole_file(path) as temporary:
+        save_file(tensors, temporary, metadata={"identity": identity, "state": json.dumps(state)})
+
+
+def _resume(run: _Run, path: Path, identity: str) -> None:
+    try:
+        with safe_open(path, framework="pt") as file:
+            metadata = file.metadata() or {}
+            tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+    except (SafetensorError, OSError) as error:
+        raise InputError(f"The checkpoint '{path}' is damaged; remove it: {error}.") from error
+    if metadata.get("identity") != identity:
+        raise InputError(
+            f"The checkpoint '{path}' belongs to another training (other data, preset or seed). "
+            "Choose another output, or remove it."
+        )
+    state = json.loads(metadata["state"])
+    with torch.no_grad():
+        for i, parameter in enumerate(run.network.parameters()):
+            parameter.copy_(tensors[f"{i}.weight"])
+            run.best_weights[i] = tensors[f"{i}.best"]
+            run.optimiser.state[parameter] = {
+                "step": torch.tensor(float(state["step"])),
+                "exp_avg": tensors[f"{i}.first_moment"],
+                "exp_avg_sq": tensors[f"{i}.second_moment"],
+            }
+    run.step, run.best_loss, run.best_step = (state[k] for k in ("step", "best_loss", "best_step"))
+
+
+def _card(
+    collection: Collection, validation: Collection | None, training: Training, seed: int, run: _Run
+) -> dict[str, Any]:
+    settings = asdict(training)
+    del settings["recipe"]  # the model has it
+    return {
+        "data": collection.name,
+        "shapes": [shape.name for shape in collection.shapes],
+        "validation_shapes": [shape.name for shape in validation.shapes] if validation else [],
+        "validation_loss": run.best_loss if validation else None,
+        "training": settings,
+        "seed": seed,
+        "steps_done": run.step,
+        "threads": torch.get_num_threads(),
+        "torch": str(torch.__version__),
+    }

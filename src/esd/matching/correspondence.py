@@ -1,0 +1,144 @@
+"""A map from the vertices of one shape to those of another."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from esd.common import BoolArray, FloatArray, InputError, IntArray, whole_file
+
+MAP_SUFFIXES = (".csv", ".npy", ".txt", ".vts")
+"""Suffixes of the files that hold a map."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Correspondence:
+    """For each vertex of a source shape, its vertex of a target shape.
+
+    Parameters
+    ----------
+    target_index : (n,) int64
+        `target_index[i]` is the target vertex of source vertex `i`, from 0; -1 for none.
+    distance : (n,)
+        Euclidean distance of the two descriptors; infinite for none.
+    confidence : (n,)
+        Between 0 and 1: the similarity of the two descriptors, exp(−distance² / C).
+    """
+
+    target_index: IntArray
+    distance: FloatArray
+    confidence: FloatArray
+
+    def rejecting(self, squared_distance: float) -> Correspondence:
+        """The map without the matches whose squared distance is larger."""
+        keep = self.distance**2 <= squared_distance
+        return replace(
+            self,
+            target_index=np.where(keep, self.target_index, -1),
+            distance=np.where(keep, self.distance, np.inf),
+            confidence=np.where(keep, self.confidence, 0.0),
+        )
+
+    def is_matched(self) -> BoolArray:
+        """Whether each source vertex has a target vertex, (n,)."""
+        return self.target_index >= 0
+
+
+def check_map_path(path: str | os.PathLike[str]) -> Path:
+    """The path, if its suffix is one of `MAP_SUFFIXES`; raises an `InputError` otherwise."""
+    path = Path(path)
+    if path.suffix.lower() not in MAP_SUFFIXES:
+        raise InputError(f"'{path}': a map's file ends in one of {', '.join(MAP_SUFFIXES)}.")
+    return path
+
+
+def save_map(match: Correspondence, path: str | os.PathLike[str]) -> None:
+    """Write a map; the suffix chooses the format.
+
+    `.csv`: `source,target,distance,confidence`, vertices from 0, the target -1 where there is
+    none. `.npy`: the target vertices from 0, -1 for none. `.txt` and `.vts`: the target vertex of
+    each source vertex from 1, one a line, 0 for none.
+
+    Raises
+    ------
+    InputError
+        If the suffix is unknown or the file cannot be written.
+    """
+    path = check_map_path(path)
+    content = io.BytesIO()
+    if path.suffix.lower() == ".npy":
+        np.save(content, match.target_index, allow_pickle=False)
+    elif path.suffix.lower() == ".csv":
+        rows = zip(match.target_index, match.distance, match.confidence, strict=True)
+        lines = [f"{i},{t},{d:.9g},{c:.6g}" for i, (t, d, c) in enumerate(rows)]
+        content.write("\n".join(["source,target,distance,confidence", *lines, ""]).encode())
+    else:
+        content.write("\n".join([*map(str, match.target_index + 1), ""]).encode())
+    with whole_file(path) as temporary:
+        temporary.write_bytes(content.getvalue())
+
+
+def load_map(
+    path: str | os.PathLike[str], *, source_count: int, target_count: int
+) -> Correspondence:
+    """The map in a file that `save_map` wrote, or another program in the same format.
+
+    Distances and confidences that a format does not hold are NaN.
+
+    Parameters
+    ----------
+    source_count, target_count
+        Vertices of the two meshes, to which the map must fit.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged or fits other meshes.
+    """
+    path = check_map_path(path)
+    if not path.is_file():
+        raise InputError(f"There is no file '{path}'.")
+    try:
+        index, distance, confidence = _parse(path)
+    except (ValueError, OSError, KeyError, EOFError, OverflowError) as error:
+        raise InputError(f"'{path}' holds no map: {error}.") from error
+    if len(index) != source_count:
+        raise InputError(
+            f"'{path}' maps {len(index)} vertices; the source mesh has {source_count}."
+        )
+    beyond = index[(index < -1) | (index >= target_count)]
+    if len(beyond):
+        raise InputError(
+            f"'{path}' names target vertex {beyond[0]} (from 0); "
+            f"the target mesh has {target_count} vertices."
+        )
+    return Correspondence(index, distance, confidence)
+
+
+def _parse(path: Path) -> tuple[IntArray, FloatArray, FloatArray]:
+    suffix = path.suffix.lower()
+    if suffix == ".csv":
+        with path.open(newline="", encoding="utf-8") as file:
+            rows = list(csv.DictReader(file))
+        if not rows or not {"source", "target"} <= set(rows[0]):
+            raise InputError("expected the columns source,target,distance,confidence")
+        index = np.full(len(rows), -1, dtype=np.int64)
+        index[np.array([int(row["source"]) for row in rows])] = [int(r["target"]) for r in rows]
+        distance, confidence = (
+            np.array([float(row.get(column) or "nan") for row in rows])
+            for column in ("distance", "confidence")
+        )
+        return index, distance, confidence
+    if suffix == ".npy":
+        array = np.load(path, allow_pickle=False)
+        if array.ndim != 1 or array.dtype.kind not in "iu":
+            raise InputError(f"expected integers of shape (n,), got {array.dtype} {array.shape}")
+        index = array.astype(np.int64)
+    else:
+        index = np.array(path.read_text(encoding="ascii").split(), dtype=np.int64) - 1
+    return index, np.full(len(index), np.nan), np.full(len(index), np.nan)

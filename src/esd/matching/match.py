@@ -1,0 +1,69 @@
+"""From two shapes to a correspondence."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+
+from esd.common import FloatArray
+from esd.learning.model import Model, load_model
+from esd.matching.correspondence import Correspondence
+from esd.matching.nearest import nearest
+from esd.mesh.mesh import MeshLike, as_mesh
+from esd.spectral.cache import Cache, default_cache
+
+DEFAULT_MODEL = "hks"
+"""Name of the model that is used where none is given."""
+
+
+def match(
+    source: MeshLike,
+    target: MeshLike,
+    *,
+    model: Model | str | os.PathLike[str] = DEFAULT_MODEL,
+    cache: Cache | None = None,
+) -> Correspondence:
+    """The target vertex that corresponds to each source vertex.
+
+    Parameters
+    ----------
+    source, target
+        Meshes, or whatever `as_mesh` takes.
+    model
+        A `Model`, or what `load_model` takes.
+    cache
+        Where spectra are looked up and kept; the user's cache by default.
+
+    Raises
+    ------
+    InputError
+        If a mesh or the model cannot be used.
+    """
+    model = model if isinstance(model, Model) else load_model(model)
+    cache = default_cache() if cache is None else cache
+    embedded = (model.embed_mesh(as_mesh(mesh), cache=cache) for mesh in (source, target))
+    return match_embedded(*embedded, margin=model.margin)
+
+
+def match_embedded(
+    source: FloatArray, target: FloatArray, *, margin: float | None
+) -> Correspondence:
+    """The nearest row of `target` (m, d) to each row of `source` (n, d) as a correspondence.
+
+    Parameters
+    ----------
+    margin
+        C of the similarity exp(−distance² / C) (section 3.4 of the paper leaves its form open).
+        Where there is none, it is the mean squared distance of any two rows, so that descriptors
+        no more alike than chance have similarity exp(−1).
+    """
+    index, distance = nearest(source, target)
+    scale = _mean_squared_distance(source, target) if margin is None else margin
+    return Correspondence(index, distance, np.exp(-(distance**2) / scale))
+
+
+def _mean_squared_distance(source: FloatArray, target: FloatArray) -> float:
+    a, b = (rows[np.isfinite(rows).all(axis=1)] for rows in (source, target))
+    spread = a.var(axis=0) + b.var(axis=0) + (a.mean(axis=0) - b.mean(axis=0)) ** 2
+    return float(spread.sum())

@@ -1,0 +1,55 @@
+"""Exact nearest neighbours of descriptors."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from esd.common import FloatArray, InputError, IntArray
+
+_TREE_WIDTH = 32  # beyond this dimension a tree visits nearly everything
+_CHUNK_BYTES = 2**27
+
+
+def nearest(source: FloatArray, target: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Index (n,) of the nearest row of `target` to each row of `source`, and the distance (n,).
+
+    Rows that are not finite take no part: such a row of `source` has index -1, distance infinite.
+
+    Raises
+    ------
+    InputError
+        If the rows differ in length, or no row of `target` is finite.
+    """
+    if source.ndim != 2 or target.ndim != 2 or source.shape[1] != target.shape[1]:
+        raise InputError(f"Rows must be equally long; got {source.shape} and {target.shape}.")
+    defined = np.isfinite(source).all(axis=1)
+    candidates = np.flatnonzero(np.isfinite(target).all(axis=1))
+    if len(candidates) == 0:
+        raise InputError("The target has no vertex with a finite descriptor.")
+    search = _by_tree if source.shape[1] <= _TREE_WIDTH else _by_products
+    found, reach = search(source[defined], target[candidates])
+    index = np.full(len(source), -1, dtype=np.int64)
+    distance = np.full(len(source), np.inf)
+    index[defined], distance[defined] = candidates[found], reach
+    return index, distance
+
+
+def _by_tree(source: FloatArray, target: FloatArray) -> tuple[IntArray, FloatArray]:
+    distance, index = KDTree(target).query(source, workers=-1)
+    return np.asarray(index, dtype=np.int64), distance
+
+
+def _by_products(source: FloatArray, target: FloatArray) -> tuple[IntArray, FloatArray]:
+    """By |s − t|² = |s|² − 2 s·t + |t|², in float64 and centred, so that little cancels."""
+    centre = target.mean(axis=0)
+    source, target = source - centre, target - centre
+    half_squares = np.einsum("ij,ij->i", target, target) / 2
+    rows = max(1, _CHUNK_BYTES // (8 * len(target)))
+    index = np.concatenate(
+        [
+            np.argmin(half_squares - source[start : start + rows] @ target.T, axis=1)
+            for start in range(0, max(len(source), 1), rows)
+        ]
+    )
+    return index, np.linalg.norm(source - target[index], axis=1)
