@@ -197,13 +197,14 @@ def _errors_on_target(
         np.minimum(error, diameter).reshape(len(sources), -1)  # another component: infinitely far
         for error in geodesic_errors(graph, np.concatenate(predicted), stacked)
     ]
+    shared = [(source.index >= 0) & (target.index >= 0) for source in sources]
     nearer = errors[0] if len(errors) == 1 else np.fmin(*errors)
     return [
         PairErrors(
             source=source.name,
             target=target.name,
-            errors=errors[0][i],
-            symmetric_errors=None if target.symmetric is None else nearer[i],
+            errors=errors[0][i, shared[i]],
+            symmetric_errors=None if target.symmetric is None else nearer[i, shared[i]],
             square_root_area=surface_area(target.mesh) ** 0.5,
             diameter=diameter,
             coverage=len(np.unique(maps[i][maps[i] >= 0])) / len(target.mesh.vertices),

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from esd.common import BoolArray, FloatArray, InputError, IntArray
+from esd.common import FloatArray, InputError, IntArray
 from esd.datasets.collection import Collection
 from esd.descriptors.recipe import Recipe, descriptors
 from esd.spectral.cache import Cache
@@ -86,8 +86,8 @@ def point_table(
             columns = descriptors(recipe, mesh, cache=cache)
         except InputError as error:
             raise InputError(f"'{shape.name}': {error}") from error
-        defined: BoolArray = np.isfinite(columns).all(axis=1)
-        rows.append(np.where((index >= 0) & defined[index], index + start, -1))
+        defined = np.isfinite(columns[index]).all(axis=1)
+        rows.append(np.where((index >= 0) & defined, index + start, -1))
         values.append(columns.astype(np.float32))
         start += len(columns)
         on_shape()
