@@ -1,0 +1,139 @@
+"""Human bodies that ship with the package: 14 people of very different build, each in ten poses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache, lru_cache
+from importlib import resources
+
+import numpy as np
+
+from esd.common import IntArray
+from esd.datasets.body_pack import Pack, posed, read_pack
+from esd.datasets.collection import Collection, Shape
+from esd.mesh.mesh import Mesh
+from esd.mesh.remesh import Remeshed, Style, remesh
+
+TRAINING_SUBJECTS = tuple(f"s{number:02d}" for number in range(10))
+TESTING_SUBJECTS = tuple(f"s{number:02d}" for number in range(10, 14))
+POSE_COUNT = 10
+
+PARTS = (
+    "torso",
+    "head",
+    "left arm",
+    "right arm",
+    "left hand",
+    "right hand",
+    "left leg",
+    "right leg",
+    "left foot",
+    "right foot",
+)
+"""Names of the parts of the body, in the order of their labels."""
+
+
+def bodies(
+    *,
+    remeshed: bool = True,
+    vertex_count: int = 5000,
+    style: str | Style = "graded",
+    seed: int = 0,
+) -> Collection:
+    """The bodies, 140 shapes named `s03_p07` for pose 7 of subject s03.
+
+    Models are trained on `TRAINING_SUBJECTS` and tested on `TESTING_SUBJECTS`, who are nowhere
+    else. Coordinates are in metres; x points to the body's left, y to its back, z up. The template
+    has 6,891 points and is symmetric: `symmetric` is exact.
+
+    Parameters
+    ----------
+    remeshed : bool
+        Whether each shape gets triangles of its own, as shapes from a scanner have. If not, all
+        have the template's, and a network may learn from those what it should from the surface.
+    vertex_count, style
+        Number of vertices of the remeshed shapes, and what their triangles are like; see
+        `esd.mesh.remesh.remesh`.
+    seed : int
+        Of the triangles. They differ from shape to shape, and are the same in each call.
+    """
+    shapes = []
+    for subject, name in enumerate(TRAINING_SUBJECTS + TESTING_SUBJECTS):
+        for pose in range(POSE_COUNT):
+            body = (
+                _RemeshedBody(subject, pose, vertex_count, style, seed)
+                if remeshed
+                else _RegisteredBody(subject, pose)
+            )
+            shapes.append(
+                Shape(
+                    name=f"{name}_p{pose:02d}",
+                    subject=name,
+                    template="body",
+                    mesh=body.mesh,
+                    correspondence=body.points,
+                    symmetric=body.mirrored,
+                )
+            )
+    return Collection("bodies", tuple(shapes))
+
+
+def mirrored_points() -> IntArray:
+    """The point of the template on the other side of the body, (p,)."""
+    return _pack().mirror
+
+
+def part_labels() -> IntArray:
+    """Part of the body of each point of the template, (p,), an index into `PARTS`."""
+    return _pack().parts
+
+
+@cache
+def _pack() -> Pack:
+    with resources.as_file(resources.files("esd.datasets") / "data" / "bodies.npz") as path:
+        return read_pack(path)
+
+
+@dataclass(frozen=True, slots=True)
+class _RegisteredBody:
+    """One body with the triangles of the template."""
+
+    subject: int
+    pose: int
+
+    def mesh(self) -> Mesh:
+        pack = _pack()
+        return Mesh(posed(pack, subject=self.subject, pose=self.pose), pack.faces)
+
+    def points(self) -> IntArray:
+        return np.arange(len(_pack().mirror))
+
+    def mirrored(self) -> IntArray:
+        return _pack().mirror
+
+
+@dataclass(frozen=True, slots=True)
+class _RemeshedBody:
+    """One body with triangles of its own."""
+
+    subject: int
+    pose: int
+    vertex_count: int
+    style: str | Style
+    seed: int
+
+    def mesh(self) -> Mesh:
+        return _remeshed(self).mesh
+
+    def points(self) -> IntArray:
+        return _remeshed(self).nearest.copy()
+
+    def mirrored(self) -> IntArray:
+        return _remeshed(self).nearest[_pack().mirror]
+
+
+@lru_cache(maxsize=4)  # mesh and correspondences are asked for one after the other
+def _remeshed(body: _RemeshedBody) -> Remeshed:
+    registered = _RegisteredBody(body.subject, body.pose).mesh()
+    seed = np.random.SeedSequence([body.seed, body.subject, body.pose]).generate_state(1)[0]
+    return remesh(registered, body.vertex_count, style=body.style, seed=int(seed))

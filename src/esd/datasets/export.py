@@ -1,0 +1,109 @@
+"""Collections written to folders that other programs, and this one, can read."""
+
+from __future__ import annotations
+
+import csv
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from esd.common import InputError, IntArray, whole_file
+from esd.datasets.collection import Collection, Shape
+from esd.mesh.files import FORMATS, write_mesh
+
+
+def export_folder(
+    collection: Collection,
+    folder: str | os.PathLike[str],
+    *,
+    suffix: str = ".off",
+    part_names: Sequence[str] = (),
+    part_labels: IntArray | None = None,
+) -> None:
+    """Write a collection in the layout that `esd.datasets.folder.folder_collection` reads.
+
+    The folder is made where it does not exist. It gets `shapes/NAME.off`, `corres/NAME.vts` with
+    the vertex, from 1, at each point of the template, `corres/NAME.sym.vts` with the same under
+    left-right symmetry where it is known, and `subjects.csv`. With part labels it gets
+    `parts/names.txt` and `parts/NAME.txt` with the number, from 0, of each vertex's part.
+
+    Parameters
+    ----------
+    suffix : str
+        Format of the meshes, one of `esd.mesh.files.FORMATS`.
+    part_names
+        Names of the parts, in the order of their labels.
+    part_labels : (p,), optional
+        Part of each point of the template.
+
+    Raises
+    ------
+    InputError
+        If the suffix is unknown, a point of the template has no vertex on a shape, or the folder
+        cannot be written to.
+    """
+    if suffix not in FORMATS:
+        raise InputError(f"`suffix` must be one of {', '.join(FORMATS)}; got '{suffix}'.")
+    folder = Path(folder)
+    folders = ["shapes", "corres"] + ["parts"] * (part_labels is not None)
+    try:
+        for name in folders:
+            (folder / name).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"'{folder}' cannot be written to: {error.strerror}.") from error
+    for shape in collection.shapes:
+        write_mesh(shape.mesh(), folder / "shapes" / f"{shape.name}{suffix}")
+        _write_vts(shape.correspondence(), folder / "corres" / f"{shape.name}.vts")
+        if shape.symmetric is not None:
+            _write_vts(shape.symmetric(), folder / "corres" / f"{shape.name}.sym.vts")
+        if part_labels is not None:
+            labels = labels_on(shape, part_labels)
+            _write_lines(labels.tolist(), folder / "parts" / f"{shape.name}.txt")
+    if part_labels is not None:
+        _write_lines(part_names, folder / "parts" / "names.txt")
+    with (
+        whole_file(folder / "subjects.csv") as path,
+        path.open("w", newline="", encoding="utf-8") as file,
+    ):
+        table = csv.writer(file)
+        table.writerow(("name", "subject", "template"))
+        table.writerows((s.name, s.subject, s.template) for s in collection.shapes)
+
+
+def labels_on(shape: Shape, labels: IntArray) -> IntArray:
+    """Labels of the vertices of a shape, (n,), from those of the template's points, (p,).
+
+    A vertex at which the template has no point takes the label of the nearest one that has.
+
+    Raises
+    ------
+    InputError
+        If there is not one label for each point of the template.
+    """
+    vertex = shape.correspondence()
+    if labels.shape != vertex.shape:
+        raise InputError(
+            f"There must be a label for each of the {len(vertex)} points of the template of "
+            f"'{shape.name}'; got shape {labels.shape}."
+        )
+    known = vertex >= 0
+    vertices = shape.mesh().vertices
+    nearest = cKDTree(vertices[vertex[known]]).query(vertices)[1]
+    return np.asarray(labels[known][nearest])
+
+
+def _write_vts(vertex: IntArray, path: Path) -> None:
+    if (vertex < 0).any():
+        raise InputError(
+            f"Point {np.argmax(vertex < 0)} of the template has no vertex on '{path.stem}'; "
+            "a .vts file holds a vertex for every point."
+        )
+    _write_lines((vertex + 1).tolist(), path)
+
+
+def _write_lines(values: Sequence[object], path: Path) -> None:
+    with whole_file(path) as temporary:
+        temporary.write_text("".join(f"{value}\n" for value in values), encoding="utf-8")
