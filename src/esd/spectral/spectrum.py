@@ -14,7 +14,7 @@ from esd.spectral.cache import Arrays, Cache, content_key
 from esd.spectral.eigensolver import eigenpairs
 from esd.spectral.laplacian import LaplacianKind, laplacian
 
-_SOLVER_VERSION = 1  # part of the cache's keys; raised when the eigenpairs may change
+_SOLVER_VERSION = 2  # part of the cache's keys; raised when the eigenpairs may change
 
 
 @dataclass(frozen=True, slots=True, eq=False)
