@@ -1,1 +1,1 @@
-"""datasets."""
+"""Collections of shapes with known correspondences."""

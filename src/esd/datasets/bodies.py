@@ -12,7 +12,8 @@ from esd.common import IntArray
 from esd.datasets.body_pack import Pack, posed, read_pack
 from esd.datasets.collection import Collection, Shape
 from esd.mesh.mesh import Mesh
-from esd.mesh.remesh import Remeshed, Style, remesh
+from esd.mesh.remesh import Style, remesh
+from esd.spectral.cache import Arrays, content_key, default_cache
 
 TRAINING_SUBJECTS = tuple(f"s{number:02d}" for number in range(10))
 TESTING_SUBJECTS = tuple(f"s{number:02d}" for number in range(10, 14))
@@ -75,7 +76,7 @@ def bodies(
                     symmetric=body.mirrored,
                 )
             )
-    return Collection("bodies", tuple(shapes))
+    return Collection("bodies", tuple(shapes), TESTING_SUBJECTS)
 
 
 def mirrored_points() -> IntArray:
@@ -123,17 +124,30 @@ class _RemeshedBody:
     seed: int
 
     def mesh(self) -> Mesh:
-        return _remeshed(self).mesh
+        return _remeshed(self)[0]
 
     def points(self) -> IntArray:
-        return _remeshed(self).nearest.copy()
+        return _remeshed(self)[1].copy()
 
     def mirrored(self) -> IntArray:
-        return _remeshed(self).nearest[_pack().mirror]
+        return _remeshed(self)[1][_pack().mirror]
 
 
 @lru_cache(maxsize=4)  # mesh and correspondences are asked for one after the other
-def _remeshed(body: _RemeshedBody) -> Remeshed:
+def _remeshed(body: _RemeshedBody) -> tuple[Mesh, IntArray]:
+    """The remeshed body, and its vertex at each point of the template, from the user's cache."""
     registered = _RegisteredBody(body.subject, body.pose).mesh()
     seed = np.random.SeedSequence([body.seed, body.subject, body.pose]).generate_state(1)[0]
-    return remesh(registered, body.vertex_count, style=body.style, seed=int(seed))
+
+    def compute() -> Arrays:
+        made = remesh(registered, body.vertex_count, style=body.style, seed=int(seed))
+        return {"vertices": made.mesh.vertices, "faces": made.mesh.faces, "nearest": made.nearest}
+
+    store = default_cache()
+    if store is None:
+        made = compute()
+    else:
+        parameters = {"count": body.vertex_count, "style": str(body.style), "seed": int(seed)}
+        key = content_key("remeshed", registered.vertices, registered.faces, **parameters)
+        made = store.computed(key, compute)
+    return Mesh(made["vertices"], made["faces"]), made["nearest"]

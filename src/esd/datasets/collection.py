@@ -43,10 +43,21 @@ class Shape:
 
 @dataclass(frozen=True, slots=True)
 class Collection:
-    """Shapes with correspondences, in a fixed order."""
+    """Shapes with correspondences, in a fixed order.
+
+    Parameters
+    ----------
+    name : str
+        Of the data set.
+    shapes
+        In the order in which figures name them.
+    testing_subjects
+        Subjects that the makers of the data set keep for testing.
+    """
 
     name: str
     shapes: tuple[Shape, ...]
+    testing_subjects: tuple[str, ...] = ()
 
     def __getitem__(self, name: str) -> Shape:
         """The shape of a name.
@@ -93,6 +104,19 @@ class Collection:
         """Shapes of some subjects."""
         wanted = set(subjects)
         return replace(self, shapes=tuple(s for s in self.shapes if s.subject in wanted))
+
+    def excluding_subjects(self, subjects: Sequence[str]) -> Collection:
+        """Shapes of all but some subjects.
+
+        Raises
+        ------
+        InputError
+            If none is left.
+        """
+        left = self.of_subjects([name for name in self.subjects if name not in set(subjects)])
+        if not left.shapes:
+            raise InputError(f"No shape of '{self.name}' is left without {', '.join(subjects)}.")
+        return left
 
     def pairs(self) -> tuple[tuple[Shape, Shape], ...]:
         """Ordered pairs (source, target) of different subjects of one template.

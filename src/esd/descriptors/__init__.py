@@ -1,1 +1,1 @@
-"""descriptors."""
+"""Spectral descriptors."""

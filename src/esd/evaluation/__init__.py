@@ -1,1 +1,1 @@
-"""evaluation."""
+"""Figures of how good a map is."""

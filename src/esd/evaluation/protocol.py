@@ -126,8 +126,7 @@ def evaluate(
     InputError
         If a shape cannot be read, or rejection is asked of a model without a margin.
     """
-    if reject and model.margin is None:
-        raise InputError(f"'{model.name}' has no margin, and so no threshold to reject by.")
+    threshold = model.threshold() if reject else np.inf
     start = time.perf_counter()
     shapes = {shape.name: shape for pair in pairs for shape in pair}
     embedded = {name: _embedded(model, shape, cache) for name, shape in shapes.items()}
@@ -135,7 +134,7 @@ def evaluate(
     for source, target in pairs:
         sources.setdefault(target.name, []).append(embedded[source.name])
     jobs = [(embedded[name], group) for name, group in sources.items()]
-    work = partial(_errors_on_target, margin=model.margin, reject=reject)
+    work = partial(_errors_on_target, margin=model.margin, threshold=threshold)
     found: list[PairErrors] = []
     with _mapping(min(processes, len(jobs))) as mapping:
         for results in mapping(work, jobs):
@@ -174,7 +173,7 @@ def _embedded(model: Model, shape: Shape, cache: Cache | None) -> _Embedded:
 
 
 def _errors_on_target(
-    job: tuple[_Embedded, list[_Embedded]], *, margin: float | None, reject: bool
+    job: tuple[_Embedded, list[_Embedded]], *, margin: float | None, threshold: float
 ) -> list[PairErrors]:
     """Errors of the maps from several sources to one target."""
     target, sources = job
@@ -183,9 +182,7 @@ def _errors_on_target(
     maps = []
     for source in sources:
         match = match_embedded(source.values, target.values, margin=margin)
-        if reject and margin is not None:
-            match = match.rejecting(margin / 2)
-        maps.append(match.target_index)
+        maps.append(match.rejecting(threshold).target_index)
     # all maps at once, so that each target vertex is the source of distances only once
     predicted = [
         np.where(source.index >= 0, index[source.index], -1)

@@ -1,1 +1,1 @@
-"""learning."""
+"""Embeddings of descriptors, learned from corresponding points."""

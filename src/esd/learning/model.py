@@ -62,6 +62,18 @@ class Model:
     margin: float | None = None
     card: Mapping[str, Any] = field(default_factory=dict)
 
+    def threshold(self) -> float:
+        """Squared distance beyond which the paper rejects a match: C / 2.
+
+        Raises
+        ------
+        InputError
+            If the model has no margin.
+        """
+        if self.margin is None:
+            raise InputError(f"'{self.name}' has no margin, and so no threshold to reject by.")
+        return self.margin / 2
+
     def embed(self, values: FloatArray) -> FloatArray:
         """Embedding (n, outputs) float64 of descriptors (n, recipe.width).
 
@@ -168,7 +180,7 @@ def save_model(model: Model, folder: str | os.PathLike[str]) -> None:
             {k: np.ascontiguousarray(v) for k, v in arrays.items()}, temporary / "model.safetensors"
         )
         (temporary / "config.json").write_text(json.dumps(config, indent=2) + "\n")
-        (temporary / "README.md").write_text(_readme(replace(model, name=folder.name)))
+        (temporary / "README.md").write_text(model_description(replace(model, name=folder.name)))
         temporary.chmod(0o755)
         if folder.exists():
             shutil.rmtree(folder)
@@ -231,7 +243,8 @@ def _check_fit(model: Model, widths: Sequence[int], folder: Path) -> None:
         raise InputError(f"The weights of '{folder}' are not all finite: the training diverged.")
 
 
-def _readme(model: Model) -> str:
+def model_description(model: Model) -> str:
+    """The text of a model folder's `README.md`: what the model is made of, and its card."""
     parts = ", ".join(
         f"{'log ' if part.log else ''}{part.kind.upper()} ({part.count})"
         for part in model.recipe.descriptors

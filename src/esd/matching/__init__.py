@@ -1,1 +1,1 @@
-"""matching."""
+"""Maps between shapes."""

@@ -1,1 +1,1 @@
-"""mesh."""
+"""Triangle meshes: files, measures, distances, samples, analytic shapes, remeshing."""

@@ -1,1 +1,1 @@
-"""spectral."""
+"""Laplace-Beltrami operators and their spectra."""

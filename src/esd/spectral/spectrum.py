@@ -129,6 +129,12 @@ def spectrum(
     return Spectrum(**cache.computed(key, compute), zero_modes=zero_modes)
 
 
+def check_spectrum_path(path: str | os.PathLike[str]) -> None:
+    """Raise an `InputError` unless a spectrum can be written to a path of such a name."""
+    if Path(path).suffix.lower() != ".npz":
+        raise InputError(f"'{path}': spectra are written as .npz files.")
+
+
 def save_spectrum(result: Spectrum, path: str | os.PathLike[str]) -> None:
     """Write eigenvalues, eigenvectors, mass and zero modes to a `.npz` file.
 
@@ -137,8 +143,7 @@ def save_spectrum(result: Spectrum, path: str | os.PathLike[str]) -> None:
     InputError
         If the suffix is another, or the file cannot be written.
     """
-    if Path(path).suffix != ".npz":
-        raise InputError(f"'{path}': spectra are written as .npz files.")
+    check_spectrum_path(path)
     with whole_file(path) as temporary, temporary.open("wb") as file:
         np.savez(
             file,

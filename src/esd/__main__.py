@@ -1,0 +1,6 @@
+"""`python -m esd`."""
+
+from esd.cli import main
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,73 @@
+"""`esd match`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+ModelOption = Annotated[
+    str,
+    typer.Option(
+        "--model", "-m", metavar="MODEL", help="A model folder, a bundled name, or hks, wks, gps."
+    ),
+]
+
+
+def match(
+    source: Annotated[Path, typer.Argument(help="Mesh whose vertices are mapped.")],
+    target: Annotated[Path, typer.Argument(help="Mesh that they are mapped to.")],
+    output: Annotated[
+        Path,
+        typer.Option("--output", "-o", metavar="MAP", help="Ends in .csv, .npy, .txt or .vts."),
+    ],
+    model: ModelOption = "default",
+    refine: Annotated[
+        bool | None,
+        typer.Option("--refine/--no-refine", help="Refine the map in the spectral domain."),
+    ] = None,
+    reject: Annotated[
+        bool, typer.Option("--reject", help="Drop matches beyond the model's threshold, C / 2.")
+    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print a summary as JSON.")] = False,
+) -> None:
+    """Map each vertex of SOURCE to its vertex of TARGET."""
+    import time
+
+    import numpy as np
+
+    from esd.cli.refinement import check_refinement
+    from esd.learning.model import load_model
+    from esd.matching.correspondence import check_map_path, save_map
+    from esd.matching.match import match as match_meshes
+    from esd.mesh.mesh import as_mesh
+
+    start = time.perf_counter()
+    check_refinement(refine)
+    check_map_path(output)
+    loaded = load_model(model)
+    source_mesh, target_mesh = as_mesh(source), as_mesh(target)
+    result = match_meshes(source_mesh, target_mesh, model=loaded)
+    if reject:
+        result = result.rejecting(loaded.threshold())
+    save_map(result, output)
+    matched = result.is_matched()
+    targets = np.unique(result.target_index[matched])
+    summary = {
+        "model": loaded.name,
+        "source_vertices": len(source_mesh.vertices),
+        "target_vertices": len(target_mesh.vertices),
+        "matched": int(matched.sum()),
+        "coverage": len(targets) / len(target_mesh.vertices),
+        "mean_confidence": float(result.confidence[matched].mean()) if matched.any() else 0.0,
+        "seconds": time.perf_counter() - start,
+    }
+    if as_json:
+        typer.echo(json.dumps(summary))
+    else:
+        typer.echo(
+            f"{summary['matched']} of {summary['source_vertices']} vertices matched, covering "
+            f"{summary['coverage']:.0%} of the target; written to {output}"
+        )

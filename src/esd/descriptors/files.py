@@ -1,0 +1,38 @@
+"""Files of descriptors."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+from esd.common import FloatArray, InputError, whole_file
+
+_SUFFIXES = (".npy", ".npz", ".csv")
+
+
+def check_descriptor_path(path: str | os.PathLike[str]) -> Path:
+    """The path, if descriptors can be written to it; raises an `InputError` otherwise."""
+    path = Path(path)
+    if path.suffix.lower() not in _SUFFIXES:
+        raise InputError(f"'{path}': descriptors are written to {', '.join(_SUFFIXES)}.")
+    return path
+
+
+def save_descriptor(values: FloatArray, path: str | os.PathLike[str]) -> None:
+    """Write descriptors (n, d): an array, an array named `descriptors`, or a line a vertex.
+
+    Raises
+    ------
+    InputError
+        If the suffix is unknown or the file cannot be written.
+    """
+    path = check_descriptor_path(path)
+    with whole_file(path) as temporary, temporary.open("wb") as file:
+        if path.suffix.lower() == ".npy":
+            np.save(file, values, allow_pickle=False)
+        elif path.suffix.lower() == ".npz":
+            np.savez(file, descriptors=values)
+        else:
+            np.savetxt(file, values, delimiter=",", fmt="%.9g")
