@@ -47,8 +47,8 @@ class Cache:
         """The arrays stored under a key, or None; a damaged entry is removed."""
         path = self._path(key)
         try:
-            with np.load(path, allow_pickle=False) as file:
-                arrays = dict(file)
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+                arrays = dict(archive)
             os.utime(path)
         except FileNotFoundError:
             return None

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from esd.common import FloatArray, InputError, whole_file
-from esd.mesh.mesh import Mesh, components, is_referenced
+from esd.mesh.mesh import Mesh, components, is_referenced, surface_area
 from esd.spectral.cache import Arrays, Cache, content_key
 from esd.spectral.eigensolver import eigenpairs
 from esd.spectral.laplacian import LaplacianKind, laplacian
@@ -111,10 +111,10 @@ def spectrum(
         )
 
     def compute() -> Arrays:
+        if not surface_area(mesh) > 0:
+            raise InputError("The mesh has no area: all its faces are degenerate.")
         matrix, mass = laplacian(mesh, kind=kind)
         area = mass.sum()
-        if not area > 0:
-            raise InputError("The mesh has no area: all its faces are degenerate.")
         solution = eigenpairs(matrix[referenced][:, referenced], mass[referenced] / area, k)
         eigenvectors = np.zeros((len(mesh.vertices), k))
         eigenvectors[referenced] = solution.eigenvectors

@@ -1,0 +1,118 @@
+import numpy as np
+import pytest
+
+from esd.common import InputError
+from esd.datasets.collection import Collection, read_pairs
+from esd.datasets.folder import folder_collection, read_vts
+from esd.datasets.splits import split_by_subject
+from esd.mesh.files import write_mesh
+from esd.mesh.shapes import grid, torus
+
+
+@pytest.fixture
+def registered(tmp_path):
+    for name in ("tr_reg_000", "tr_reg_001", "tr_reg_010", "tr_reg_020"):
+        write_mesh(torus(6, 5), tmp_path / f"{name}.off")
+    return tmp_path
+
+
+@pytest.fixture
+def remeshed(tmp_path):
+    (tmp_path / "shapes").mkdir()
+    (tmp_path / "corres").mkdir()
+    for name, rows in (("cat0", 5), ("cat1", 6), ("wolf0", 7)):
+        write_mesh(grid(4, rows), tmp_path / "shapes" / f"{name}.off")
+        (tmp_path / "corres" / f"{name}.vts").write_text("3\n1\n20\n")
+    (tmp_path / "corres" / "cat0.sym.vts").write_text("1\n3\n20\n")
+    return tmp_path
+
+
+def test_meshes_of_one_connectivity_correspond_by_index(registered):
+    collection = folder_collection(registered)
+    assert collection.subjects == ("00", "01", "02")
+    np.testing.assert_array_equal(collection.shapes[0].correspondence(), np.arange(30))
+    pairs = [(s.name, t.name) for s, t in collection.pairs()]
+    assert ("tr_reg_000", "tr_reg_001") not in pairs  # one subject
+    assert len(pairs) == 10
+
+
+def test_vts_files_count_from_one(remeshed):
+    collection = folder_collection(remeshed)
+    np.testing.assert_array_equal(collection["cat0"].correspondence(), [2, 0, 19])
+    np.testing.assert_array_equal(collection["cat0"].symmetric(), [0, 2, 19])
+    assert collection["cat1"].symmetric is None
+    assert [(s.name, t.name) for s, t in collection.pairs()] == [("cat0", "cat1"), ("cat1", "cat0")]
+
+
+def test_listed_subjects_override_names(registered):
+    (registered / "subjects.csv").write_text("name,subject\ntr_reg_000,ann\ntr_reg_001,bob\n")
+    assert folder_collection(registered).subjects == ("ann", "bob", "01", "02")
+    (registered / "subjects.csv").write_text("shape\ntr_reg_000\n")
+    with pytest.raises(InputError, match="columns name,subject"):
+        folder_collection(registered)
+
+
+def test_selection_and_splits(registered):
+    collection = folder_collection(registered)
+    assert len(collection.including("tr_reg_00*, tr_reg_020").shapes) == 3
+    with pytest.raises(InputError, match="No shape of .* matches 'x'"):
+        collection.including("x")
+    with pytest.raises(InputError, match="has no shape 'x'"):
+        collection["x"]
+    kept, held = split_by_subject(collection, held_out=1, seed=3)
+    assert set(kept.subjects) | set(held.subjects) == set(collection.subjects)
+    assert not set(kept.subjects) & set(held.subjects)
+    with pytest.raises(InputError, match="`held_out` must be from 1 to 2"):
+        split_by_subject(collection, held_out=3)
+    with pytest.raises(InputError, match="is left without"):
+        collection.excluding_subjects(collection.subjects)
+    with pytest.raises(InputError, match="no two shapes"):
+        Collection("one", collection.shapes[:1]).pairs()
+
+
+def test_pairs_files(registered, remeshed, tmp_path):
+    collection = folder_collection(tmp_path)  # shapes/ comes first
+    file = tmp_path / "pairs"
+    file.write_text("cat0\tcat1\n\n")
+    assert [(s.name, t.name) for s, t in read_pairs(file, collection)] == [("cat0", "cat1")]
+    for text, message in [
+        ("cat0 cat1\n", "line 1: expected two shape names"),
+        ("cat0\twolf0\n", "do not correspond"),
+        ("cat0\tdog\n", "has no shape 'dog'"),
+        ("\n", "lists no pair"),
+    ]:
+        file.write_text(text)
+        with pytest.raises(InputError, match=message):
+            read_pairs(file, collection)
+    with pytest.raises(InputError, match="There is no file"):
+        read_pairs(tmp_path / "none", collection)
+
+
+def test_broken_folders_are_refused(tmp_path, remeshed):
+    with pytest.raises(InputError, match="There is no data set"):
+        folder_collection(tmp_path / "none")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match="There is no mesh"):
+        folder_collection(tmp_path / "empty")
+    write_mesh(torus(6, 5), tmp_path / "empty" / "a.off")
+    write_mesh(torus(6, 6), tmp_path / "empty" / "b.off")
+    with pytest.raises(InputError, match="another connectivity"):
+        folder_collection(tmp_path / "empty")
+    write_mesh(torus(6, 6), tmp_path / "empty" / "b.ply")
+    with pytest.raises(InputError, match="several meshes named 'b'"):
+        folder_collection(tmp_path / "empty")
+    (remeshed / "corres" / "cat1.vts").unlink()
+    with pytest.raises(InputError, match="has no correspondence"):
+        folder_collection(remeshed)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [("0\n1\n", "count vertices from 1"), ("a\n", "one vertex index a line"), ("", "is empty")],
+)
+def test_bad_vts_files_are_refused(tmp_path, text, message):
+    (tmp_path / "x.vts").write_text(text)
+    with pytest.raises(InputError, match=message):
+        read_vts(tmp_path / "x.vts")
+    with pytest.raises(InputError, match="There is no correspondence"):
+        read_vts(tmp_path / "y.vts")

@@ -1,0 +1,126 @@
+import json
+
+import numpy as np
+import pytest
+
+from esd.common import InputError
+from esd.descriptors.gps import gps
+from esd.descriptors.hks import heat_times, hks
+from esd.descriptors.recipe import Descriptor, Recipe, descriptors, single_recipe
+from esd.descriptors.shape_dna import shape_dna
+from esd.descriptors.sihks import sihks
+from esd.descriptors.wks import wave_energies, wks
+from esd.mesh.mesh import Mesh
+from esd.mesh.shapes import icosphere
+from esd.spectral.spectrum import spectrum
+
+
+@pytest.fixture
+def pairs(blob):
+    return spectrum(blob, 60)
+
+
+def test_hks_integrates_to_the_heat_trace(pairs):
+    times = heat_times(pairs, count=20)
+    trace = np.exp(-np.outer(pairs.eigenvalues, times)).sum(axis=0)
+    np.testing.assert_allclose(pairs.mass @ hks(pairs, count=20), trace, rtol=1e-9)
+    np.testing.assert_allclose(pairs.mass @ hks(pairs, count=20, variant="trace"), 1, rtol=1e-9)
+
+
+def test_heat_times_are_as_the_paper_has_them(pairs):
+    times = heat_times(pairs)
+    assert len(times) == 100
+    assert times[0] == pytest.approx(4 * np.log(10) / pairs.eigenvalues[-1])
+    assert times[-1] == pytest.approx(4 * np.log(10) / pairs.eigenvalues[1])
+    np.testing.assert_allclose(times[1:] / times[:-1], times[1] / times[0])
+
+
+@pytest.mark.parametrize("variant", ["aubry", "pokrass"])
+def test_wks_integrates_to_one(pairs, variant):
+    assert wks(pairs, variant=variant).shape == (len(pairs.mass), 100)
+    np.testing.assert_allclose(pairs.mass @ wks(pairs, variant=variant), 1, rtol=1e-9)
+
+
+def test_wave_energies_of_the_two_variants(pairs):
+    low, high = np.log(pairs.eigenvalues[[1, -1]])
+    energies, width = wave_energies(pairs)
+    np.testing.assert_allclose(energies[[0, -1]], [low, high])
+    assert width == pytest.approx(7 * (energies[1] - energies[0]))
+    energies, width = wave_energies(pairs, variant="pokrass")
+    assert width == pytest.approx(7 * (high - low) / 100)
+    np.testing.assert_allclose(energies[[0, -1]], [low + 2 * width, high - 2 * width])
+
+
+def test_gps_is_the_green_function_at_a_distance(pairs):
+    signature = gps(pairs, count=25)
+    mean_square = pairs.mass @ signature**2
+    np.testing.assert_allclose(mean_square, 1 / pairs.eigenvalues[1:26], rtol=1e-9)
+
+
+def test_scaling_laws(pairs):
+    large = pairs.with_area(9.0)
+    np.testing.assert_allclose(hks(large), hks(pairs) / 9, rtol=1e-9)
+    np.testing.assert_allclose(wks(large), wks(pairs) / 9, rtol=1e-9)
+    np.testing.assert_allclose(gps(large), gps(pairs), rtol=1e-9)
+    np.testing.assert_allclose(shape_dna(large), shape_dna(pairs), rtol=1e-9)
+
+
+def test_sihks_hardly_changes_with_scale(pairs):
+    small = sihks(pairs)
+    for factor in (0.5, 2.0, 4.0):
+        change = np.abs(sihks(pairs.with_area(factor)) - small).max()
+        assert change < 0.01 * small.max()  # finite range of times; HKS itself changes by the factor
+
+
+def test_descriptors_follow_their_vertices(blob):
+    order = np.random.default_rng(0).permutation(len(blob.vertices))
+    place = np.argsort(order)
+    shuffled = Mesh(blob.vertices[order], place[blob.faces])
+    for kind in ("hks", "wks", "sihks"):
+        recipe = Recipe((Descriptor(kind, 19),), eigenpairs=40)
+        ours, theirs = descriptors(recipe, blob), descriptors(recipe, shuffled)
+        np.testing.assert_allclose(theirs, ours[order], rtol=1e-6, atol=1e-6 * np.abs(ours).max())
+
+
+def test_descriptors_do_not_change_with_rigid_motion_and_scale(blob):
+    rotation = np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))[0]
+    moved = Mesh(5 * blob.vertices @ rotation.T + [1, 2, 3], blob.faces)
+    recipe = Recipe((Descriptor("hks", 10), Descriptor("wks", 10)), eigenpairs=40)
+    np.testing.assert_allclose(descriptors(recipe, moved), descriptors(recipe, blob), rtol=1e-6)
+    raw = Recipe(recipe.descriptors, eigenpairs=40, unit_area=False)
+    np.testing.assert_allclose(descriptors(raw, moved), descriptors(raw, blob) / 25, rtol=1e-6)
+
+
+def test_lone_vertices_have_no_descriptor():
+    mesh = icosphere(2)
+    lone = Mesh(np.concatenate([mesh.vertices, [[9, 9, 9]]]), mesh.faces)
+    values = descriptors(Recipe((Descriptor("hks", 5, log=True),), eigenpairs=20), lone)
+    assert np.isfinite(values[:-1]).all()
+    assert np.isnan(values[-1]).all()
+
+
+def test_recipes_survive_json():
+    recipe = Recipe((Descriptor("hks", 50, log=True), Descriptor("wks", 9, options={"variant": "pokrass"})))
+    assert Recipe.from_json(json.loads(json.dumps(recipe.to_json()))) == recipe
+    assert recipe.width == 59
+
+
+def test_impossible_descriptors_are_refused(pairs):
+    with pytest.raises(InputError, match="no descriptor 'hsk'"):
+        single_recipe("hsk")
+    with pytest.raises(InputError, match="no logarithm"):
+        single_recipe("gps", log=True)
+    with pytest.raises(InputError, match="no descriptor recipe"):
+        Recipe.from_json({"eigenpairs": 3})
+    with pytest.raises(InputError, match="needs as many non-zero"):
+        gps(pairs, count=60)
+    with pytest.raises(InputError, match="needs as many non-zero"):
+        shape_dna(pairs, count=60)
+    with pytest.raises(InputError, match="positive numbers"):
+        hks(pairs, times=np.array([0.0]))
+    with pytest.raises(InputError, match="at least two energies"):
+        wks(pairs, count=1)
+    with pytest.raises(InputError, match="at least 29 energies"):
+        wks(pairs, count=20, variant="pokrass")
+    with pytest.raises(InputError, match="1 to 47 frequencies"):
+        sihks(pairs, count=48)

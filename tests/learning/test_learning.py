@@ -1,0 +1,228 @@
+import json
+import os
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from esd.common import InputError
+from esd.datasets.collection import Collection, Shape
+from esd.descriptors.recipe import Descriptor, Recipe, single_recipe
+from esd.learning.losses import contrastive_loss, pair_criteria
+from esd.learning.model import Layer, Model, load_model, raw_model, save_model
+from esd.learning.pairs import draw_pairs, point_table, standardisation
+from esd.learning.presets import PRESETS, Training, preset
+from esd.mesh.mesh import Mesh
+
+torch = pytest.importorskip("torch", reason="training needs the extra `train`")
+from esd.learning.train import embedded_criteria, train  # noqa: E402
+
+TRAINING = Training(
+    Recipe((Descriptor("hks", 12),), eigenpairs=20), hidden=(10,), outputs=4, steps=1500, batch=64
+)
+
+
+@pytest.fixture
+def collection(blob):
+    """Four bent copies of one shape; point p of the template is vertex p, but for one missing."""
+
+    def copy(i):
+        bend = np.sin(np.arange(3) + blob.vertices[:, [1, 2, 0]] * (1 + 0.3 * i))
+        return Mesh(blob.vertices + 0.1 * i * bend, blob.faces)
+
+    index = np.arange(len(blob.vertices))
+    index[7] = -1
+    shapes = [Shape(f"c{i}", f"s{i}", "t", lambda i=i: copy(i), lambda: index) for i in range(4)]
+    return Collection("copies", tuple(shapes))
+
+
+def test_half_of_the_pairs_correspond_and_labels_are_soft(collection):
+    table = point_table(collection, TRAINING.recipe)
+    batch = draw_pairs(table, np.random.default_rng(0), count=512, soft_label=0.2)
+    size = len(collection.shapes[0].mesh().vertices)
+    same = batch.source % size == batch.target % size
+    np.testing.assert_array_equal(same, np.arange(512) < 256)
+    assert (batch.label[:256] == 1).all()
+    assert 0 <= batch.label[256:].min() < 0.02
+    assert 0.18 < batch.label[256:].max() <= 0.2
+    assert not (np.concatenate([batch.source, batch.target]) % size == 7).any()
+    assert len({*(batch.source // size), *(batch.target // size)}) == 2  # two shapes
+
+
+def test_standardised_columns_have_mean_zero_and_deviation_one(collection):
+    table = point_table(collection, TRAINING.recipe)
+    values = table.standardised(*standardisation(table)).values
+    np.testing.assert_allclose(values.mean(axis=0), 0, atol=1e-4)
+    np.testing.assert_allclose(values.std(axis=0), 1, atol=1e-4)
+
+
+def test_loss_is_the_paper_s():
+    squared = np.array([2.0, 2.0, 6.0, 2.0])
+    label = np.array([1.0, 0.0, 0.0, 0.2])
+    np.testing.assert_allclose(
+        contrastive_loss(squared, label, margin=5.0), [2, 3, 0, 0.2 * 2 + 0.8 * 3]
+    )
+    criteria = pair_criteria(
+        np.array([1.0, 3.0, 1.0, 3.0, 4.0, 4.0]), np.array([1, 1, 0, 0, 0, 0.1]), margin=5.0
+    )
+    assert criteria.miss_rate == 0.5
+    assert criteria.false_match_rate == 0.25
+    assert criteria.error_rate == 0.75
+    assert criteria.loss_mean == pytest.approx(criteria.loss_sum / 6)
+
+
+def test_training_separates_pairs_and_embeds_without_torch(collection):
+    trained = train(collection, TRAINING, seed=1)
+    untrained = train(collection, replace(TRAINING, steps=1), seed=1)
+    after, before = (embedded_criteria(m, collection) for m in (trained, untrained))
+    assert after.loss_mean < 0.7 * before.loss_mean
+    mesh = collection.shapes[0].mesh()
+    network = torch.nn.Sequential(torch.nn.Linear(12, 10), torch.nn.ReLU(), torch.nn.Linear(10, 4))
+    with torch.no_grad():
+        for module, layer in zip(network[::2], trained.layers, strict=True):
+            module.weight.copy_(torch.from_numpy(layer.weight))
+            module.bias.copy_(torch.from_numpy(layer.bias))
+        values = np.random.default_rng(0).standard_normal((5, 12))
+        theirs = network(torch.from_numpy((values - trained.mean) / trained.deviation).float())
+    np.testing.assert_allclose(trained.embed(values), theirs.numpy(), rtol=1e-4, atol=1e-4)  # 32 bit
+    assert trained.embed_mesh(mesh).shape == (len(mesh.vertices), 4)
+
+
+def test_equal_seeds_give_equal_weights_and_others_do_not(collection):
+    short = replace(TRAINING, steps=20)
+    weights = [train(collection, short, seed=seed).layers[0].weight for seed in (1, 1, 2)]
+    np.testing.assert_array_equal(weights[0], weights[1])
+    assert not np.array_equal(weights[0], weights[2])
+
+
+def test_interrupted_training_goes_on_to_the_same_weights(collection, tmp_path):
+    class Stop(Exception):
+        pass
+
+    def stop(progress):
+        if progress.step == 1000:
+            raise Stop
+
+    straight = train(collection, TRAINING, validation=collection)
+    path = tmp_path / "checkpoint"
+    with pytest.raises(Stop):
+        train(collection, TRAINING, validation=collection, checkpoint=path, on_progress=stop)
+    assert path.exists()
+    steps = []
+    resumed = train(
+        collection,
+        TRAINING,
+        validation=collection,
+        checkpoint=path,
+        on_progress=lambda p: steps.append(p.step),
+    )
+    assert steps == [1500]
+    for a, b in zip(straight.layers, resumed.layers, strict=True):
+        np.testing.assert_array_equal(a.weight, b.weight)
+        np.testing.assert_array_equal(a.bias, b.bias)
+    assert not path.exists()
+
+
+def test_checkpoints_of_other_trainings_are_refused(collection, tmp_path):
+    path = tmp_path / "checkpoint"
+
+    def stop(progress):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train(collection, TRAINING, checkpoint=path, on_progress=stop)
+    with pytest.raises(InputError, match="belongs to another training"):
+        train(collection, TRAINING, checkpoint=path, seed=1)
+    path.write_bytes(path.read_bytes()[:50])
+    with pytest.raises(InputError, match="is damaged"):
+        train(collection, TRAINING, checkpoint=path)
+
+
+def test_impossible_trainings_are_refused(collection):
+    with pytest.raises(InputError, match="at least two shapes"):
+        train(Collection("one", collection.shapes[:1]), TRAINING)
+    with pytest.raises(InputError, match="`seed` must be"):
+        train(collection, TRAINING, seed=-1)
+    beyond = replace(collection.shapes[0], correspondence=lambda: np.array([10**6]))
+    with pytest.raises(InputError, match="names vertex 1000000"):
+        train(Collection("x", (beyond,)), TRAINING)
+    with pytest.raises(InputError, match="trained without a margin"):
+        embedded_criteria(raw_model("hks"), collection)
+    with pytest.raises(InputError, match="no preset 'x'"):
+        preset("x")
+
+
+def test_presets_have_the_paper_s_layers():
+    assert {name: (t.recipe.width, *t.hidden, t.outputs) for name, t in PRESETS.items()} == {
+        "paper-hks": (100, 78, 32, 15),
+        "paper-wks": (100, 78, 32, 15),
+        "paper-gps": (25, 20, 18, 15),
+    }
+
+
+@pytest.fixture
+def model():
+    generator = np.random.default_rng(0)
+    layer = Layer(
+        generator.standard_normal((15, 25)).astype(np.float32),
+        generator.standard_normal(15).astype(np.float32),
+    )
+    return Model("m", single_recipe("gps"), np.zeros(25), np.ones(25), (layer,), 5.0, {"data": "x"})
+
+
+def test_models_come_back_as_they_were_saved(model, tmp_path):
+    save_model(model, tmp_path / "m")
+    save_model(model, tmp_path / "m")  # in place of the first
+    back = load_model(tmp_path / "m")
+    values = np.random.default_rng(1).standard_normal((4, 25))
+    np.testing.assert_array_equal(back.embed(values), model.embed(values))
+    assert (back.recipe, back.margin, back.card) == (model.recipe, 5.0, {"data": "x"})
+    assert back.threshold() == 2.5
+    assert sorted(os.listdir(tmp_path / "m")) == ["README.md", "config.json", "model.safetensors"]
+    assert os.listdir(tmp_path) == ["m"]
+
+
+def test_damaged_models_are_refused(model, tmp_path):
+    folder = tmp_path / "m"
+    with pytest.raises(InputError, match="There is no model"):
+        load_model(folder)
+    save_model(model, folder)
+    weights, config = folder / "model.safetensors", folder / "config.json"
+    whole, text = weights.read_bytes(), config.read_text()
+    weights.write_bytes(whole[:-10])
+    with pytest.raises(InputError, match=r"model\.safetensors' is damaged"):
+        load_model(folder)
+    weights.write_bytes(whole)
+    other = json.loads(text) | {"recipe": single_recipe("hks").to_json()}
+    config.write_text(json.dumps(other))
+    with pytest.raises(InputError, match="do not fit its recipe of 100"):
+        load_model(folder)
+    config.write_text(json.dumps({k: v for k, v in json.loads(text).items() if k != "margin"}))
+    with pytest.raises(InputError, match="lacks 'margin'"):
+        load_model(folder)
+    config.write_text(text.replace('"format": 1', '"format": 9'))
+    with pytest.raises(InputError, match="not of the model format"):
+        load_model(folder)
+    config.write_text("{")
+    with pytest.raises(InputError, match=r"config\.json' is damaged"):
+        load_model(folder)
+    config.write_text(text)
+    weights.unlink()
+    with pytest.raises(InputError, match=r"There is no .*model\.safetensors"):
+        load_model(folder)
+    save_model(replace(model, mean=np.full(25, np.nan)), tmp_path / "nan")
+    with pytest.raises(InputError, match="not all finite"):
+        load_model(tmp_path / "nan")
+
+
+def test_models_replace_nothing_but_models(model, tmp_path):
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.tex").write_text("")
+    with pytest.raises(InputError, match="is no model"):
+        save_model(model, tmp_path / "mine")
+    with pytest.raises(InputError, match="does not exist"):
+        save_model(model, tmp_path / "a" / "b")
+    with pytest.raises(InputError, match=r"shape \(n, 25\); got \(3, 4\)"):
+        model.embed(np.zeros((3, 4)))
+    with pytest.raises(InputError, match="no threshold"):
+        raw_model("hks").threshold()

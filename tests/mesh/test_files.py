@@ -1,0 +1,85 @@
+import numpy as np
+import pytest
+
+from esd.common import InputError
+from esd.mesh.files import read_mesh, write_mesh
+from esd.mesh.mesh import Mesh, surface_area
+from esd.mesh.shapes import torus
+
+
+@pytest.mark.parametrize("suffix", ["off", "obj", "ply", "glb"])
+def test_vertices_and_faces_come_back_in_order(tmp_path, suffix):
+    mesh = torus(7, 5)
+    lone = Mesh(np.concatenate([mesh.vertices, [[3, 3, 3]]]), mesh.faces)  # no face: kept too
+    write_mesh(lone, tmp_path / f"m.{suffix}")
+    back = read_mesh(tmp_path / f"m.{suffix}")
+    np.testing.assert_array_equal(back.faces, lone.faces)
+    # glTF holds 32 bits
+    np.testing.assert_allclose(back.vertices, lone.vertices, atol=1e-7 if suffix == "glb" else 1e-15)
+
+
+def test_stl_corners_at_one_place_become_one_vertex(tmp_path):
+    mesh = torus(7, 5)
+    write_mesh(mesh, tmp_path / "m.stl")
+    back = read_mesh(tmp_path / "m.stl")
+    assert len(back.vertices) == len(mesh.vertices)
+    assert surface_area(back) == pytest.approx(surface_area(mesh), rel=1e-6)
+
+
+OBJ = """o seam
+v 0 0 0
+v 1 0 0
+v 1 1 0
+v 0 1 0
+v 5 5 5
+vt 0 0
+vt 1 1
+f 1/1 2/2 3/1 4/2
+usemtl other
+f -5/2 -3/1 -4/1
+"""
+OFF = "OFF\n# with a comment\n5 2 0\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n0 1 2\n4 0 1 2 3\n3 0 1 4\n"
+
+
+@pytest.mark.parametrize(("name", "text"), [("m.obj", OBJ), ("m.off", OFF)])
+def test_polygons_are_cut_and_told_and_seams_do_not_split(tmp_path, caplog, name, text):
+    (tmp_path / name).write_text(text)
+    mesh = read_mesh(tmp_path / name)
+    assert mesh.vertices.shape == (5, 3)
+    assert len(mesh.faces) == 3
+    assert "2 polygons were cut into 3 triangles" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("short.off", b"OFF\n1000000000 5 0\n1 1 1\n"),
+        ("garbage.off", b"hello"),
+        ("garbage.glb", b"hello"),
+        ("garbage.obj", b"\x00\x01"),
+        ("zero.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 0 1 2\n"),
+        ("beyond.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n"),
+        (
+            "short.ply",
+            b"ply\nformat binary_little_endian 1.0\nelement vertex 1000000000\n"
+            b"property float x\nproperty float y\nproperty float z\nelement face 1\n"
+            b"property list uchar int vertex_indices\nend_header\n",
+        ),
+        ("short.stl", bytes(80) + (10**9).to_bytes(4, "little") + b"xx"),
+    ],
+)
+def test_damaged_files_are_refused_by_name(tmp_path, name, content):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(InputError, match=name):
+        read_mesh(tmp_path / name)
+
+
+def test_wrong_paths_are_refused(tmp_path):
+    with pytest.raises(InputError, match="There is no file"):
+        read_mesh(tmp_path / "no.off")
+    with pytest.raises(InputError, match="not a mesh file"):
+        read_mesh(tmp_path / "m.xyz")
+    with pytest.raises(InputError, match="expected a suffix"):
+        write_mesh(torus(4, 4), tmp_path / "m.xyz")
+    with pytest.raises(InputError, match="does not exist"):
+        write_mesh(torus(4, 4), tmp_path / "no" / "m.off")

@@ -1,0 +1,78 @@
+import numpy as np
+import pytest
+
+from esd.common import InputError
+from esd.mesh.geodesics import geodesic_diameter, geodesic_distances, geodesic_graph
+from esd.mesh.mesh import Mesh
+from esd.mesh.sampling import sample_by_area, sample_farthest
+from esd.mesh.shapes import grid, icosphere
+
+
+def test_distances_on_the_sphere_are_angles():
+    mesh = icosphere(4)
+    distance = geodesic_distances(mesh, np.array([0]))[0]
+    angle = np.arccos(np.clip(mesh.vertices @ mesh.vertices[0], -1, 1))
+    far = angle > 0.2
+    ratio = distance[far] / angle[far]
+    assert ratio.min() > 0.99  # chords are a little shorter than arcs
+    assert ratio.mean() < 1.03  # about 1 % too long on average; edges alone give 5 %
+
+
+def test_exact_distances_on_a_plane_are_euclidean_and_never_longer():
+    mesh = grid(9, 7)
+    exact = geodesic_distances(mesh, np.array([5]), exact=True)[0]
+    np.testing.assert_allclose(
+        exact, np.linalg.norm(mesh.vertices - mesh.vertices[5], axis=1), atol=1e-9
+    )
+    assert (geodesic_distances(mesh, np.array([5]))[0] >= exact - 1e-9).all()
+
+
+def test_distances_are_symmetric_and_scale_with_the_shape(blob):
+    some = np.array([0, 50, 200])
+    distance = geodesic_distances(blob, some)[:, some]
+    np.testing.assert_allclose(distance, distance.T, rtol=1e-12)
+    scaled = geodesic_distances(Mesh(3 * blob.vertices, blob.faces), some)[:, some]
+    np.testing.assert_allclose(scaled, 3 * distance, rtol=1e-12)
+
+
+def test_other_components_are_infinitely_far():
+    mesh = icosphere(1)
+    count = len(mesh.vertices)
+    two = Mesh(
+        np.concatenate([mesh.vertices, 0.5 * mesh.vertices]),
+        np.concatenate([mesh.faces, mesh.faces + count]),
+    )
+    distance = geodesic_distances(two, np.array([0]))[0]
+    assert np.isfinite(distance[:count]).all()
+    assert np.isinf(distance[count:]).all()
+    assert geodesic_diameter(two) == pytest.approx(np.pi, rel=0.1)
+
+
+def test_diameter_of_a_square_is_its_diagonal():
+    assert geodesic_diameter(grid(20, 20)) == pytest.approx(2**0.5, rel=0.01)
+
+
+def test_sources_must_be_vertices(sphere):
+    with pytest.raises(InputError, match="`sources` must be from 0 to"):
+        geodesic_distances(sphere, np.array([len(sphere.vertices)]))
+
+
+def test_farthest_samples_spread_and_are_distinct(sphere):
+    sample = sample_farthest(sphere, 12, seed=1, graph=geodesic_graph(sphere))
+    corners = sphere.vertices[sample]
+    angles = np.arccos(np.clip(corners @ corners.T, -1, 1))[np.triu_indices(12, 1)]
+    assert angles.min() > 0.6  # an icosahedron's corners are 1.1 apart, greedy choice nearly half
+    np.testing.assert_array_equal(sample, sample_farthest(sphere, 12, seed=1))
+
+
+def test_area_samples_follow_the_area():
+    mesh = grid(40, 40)
+    x, y, z = mesh.vertices.T
+    stretched = Mesh(np.stack([np.where(x > 0.5, 3 * x - 1, x), y, z], axis=1), mesh.faces)
+    sample = sample_by_area(stretched, 400, seed=0)
+    assert len(np.unique(sample)) == 400
+    share = (stretched.vertices[sample, 0] > 0.5).mean()
+    # three quarters of the area; drawn without replacement: less, since that half runs short
+    assert 0.65 < share < 0.78
+    with pytest.raises(InputError, match="`count` must be from 1 to 1600"):
+        sample_by_area(stretched, 1601)
