@@ -23,7 +23,9 @@ def blob() -> Mesh:
     mesh = torus(32, 16)
     x, y, z = mesh.vertices.T.copy()
     swell = 1 + 0.3 * x + 0.2 * y * z
-    return Mesh((mesh.vertices * swell[:, None]) + 0.1 * mesh.vertices[:, [1, 2, 0]] ** 2, mesh.faces)
+    return Mesh(
+        (mesh.vertices * swell[:, None]) + 0.1 * mesh.vertices[:, [1, 2, 0]] ** 2, mesh.faces
+    )
 
 
 @pytest.fixture

@@ -55,7 +55,7 @@ def test_listed_subjects_override_names(registered):
 def test_selection_and_splits(registered):
     collection = folder_collection(registered)
     assert len(collection.including("tr_reg_00*, tr_reg_020").shapes) == 3
-    with pytest.raises(InputError, match="No shape of .* matches 'x'"):
+    with pytest.raises(InputError, match=r"No shape of .* matches 'x'"):
         collection.including("x")
     with pytest.raises(InputError, match="has no shape 'x'"):
         collection["x"]

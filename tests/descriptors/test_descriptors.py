@@ -69,7 +69,9 @@ def test_sihks_hardly_changes_with_scale(pairs):
     small = sihks(pairs)
     for factor in (0.5, 2.0, 4.0):
         change = np.abs(sihks(pairs.with_area(factor)) - small).max()
-        assert change < 0.01 * small.max()  # finite range of times; HKS itself changes by the factor
+        assert (
+            change < 0.01 * small.max()
+        )  # finite range of times; HKS itself changes by the factor
 
 
 def test_descriptors_follow_their_vertices(blob):
@@ -100,7 +102,9 @@ def test_lone_vertices_have_no_descriptor():
 
 
 def test_recipes_survive_json():
-    recipe = Recipe((Descriptor("hks", 50, log=True), Descriptor("wks", 9, options={"variant": "pokrass"})))
+    recipe = Recipe(
+        (Descriptor("hks", 50, log=True), Descriptor("wks", 9, options={"variant": "pokrass"}))
+    )
     assert Recipe.from_json(json.loads(json.dumps(recipe.to_json()))) == recipe
     assert recipe.width == 59
 

@@ -1,5 +1,4 @@
 import json
-import os
 from dataclasses import replace
 
 import numpy as np
@@ -84,7 +83,9 @@ def test_training_separates_pairs_and_embeds_without_torch(collection):
             module.bias.copy_(torch.from_numpy(layer.bias))
         values = np.random.default_rng(0).standard_normal((5, 12))
         theirs = network(torch.from_numpy((values - trained.mean) / trained.deviation).float())
-    np.testing.assert_allclose(trained.embed(values), theirs.numpy(), rtol=1e-4, atol=1e-4)  # 32 bit
+    np.testing.assert_allclose(
+        trained.embed(values), theirs.numpy(), rtol=1e-4, atol=1e-4
+    )  # 32 bit
     assert trained.embed_mesh(mesh).shape == (len(mesh.vertices), 4)
 
 
@@ -96,16 +97,16 @@ def test_equal_seeds_give_equal_weights_and_others_do_not(collection):
 
 
 def test_interrupted_training_goes_on_to_the_same_weights(collection, tmp_path):
-    class Stop(Exception):
+    class StopError(Exception):
         pass
 
     def stop(progress):
         if progress.step == 1000:
-            raise Stop
+            raise StopError
 
     straight = train(collection, TRAINING, validation=collection)
     path = tmp_path / "checkpoint"
-    with pytest.raises(Stop):
+    with pytest.raises(StopError):
         train(collection, TRAINING, validation=collection, checkpoint=path, on_progress=stop)
     assert path.exists()
     steps = []
@@ -178,8 +179,12 @@ def test_models_come_back_as_they_were_saved(model, tmp_path):
     np.testing.assert_array_equal(back.embed(values), model.embed(values))
     assert (back.recipe, back.margin, back.card) == (model.recipe, 5.0, {"data": "x"})
     assert back.threshold() == 2.5
-    assert sorted(os.listdir(tmp_path / "m")) == ["README.md", "config.json", "model.safetensors"]
-    assert os.listdir(tmp_path) == ["m"]
+    assert {file.name for file in (tmp_path / "m").iterdir()} == {
+        "README.md",
+        "config.json",
+        "model.safetensors",
+    }
+    assert [file.name for file in tmp_path.iterdir()] == ["m"]
 
 
 def test_damaged_models_are_refused(model, tmp_path):

@@ -11,7 +11,7 @@ model = typer.Typer(help="The models at hand.", no_args_is_help=True)
 
 @model.command("list")
 def list_models() -> None:
-    """List the bundled models and the raw descriptors."""
+    """List the bundled models and the raw descriptors; `default` is paper-hks."""
     from esd.descriptors.recipe import DESCRIPTOR_KINDS
     from esd.learning.model import bundled_models
 

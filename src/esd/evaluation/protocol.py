@@ -212,18 +212,22 @@ def _errors_on_target(
 
 def _summary(found: Sequence[PairErrors], seconds: float) -> Evaluation:
     scaled = [pair.errors / pair.square_root_area for pair in found]
+    matched = [error[np.isfinite(error)] for error in scaled]
+    matched = [error for error in matched if len(error)]
+    if not matched:
+        raise InputError("No vertex was matched: every match lies beyond the threshold.")
     symmetric = [
         float(np.nanmean(pair.symmetric_errors / pair.square_root_area))
         for pair in found
-        if pair.symmetric_errors is not None
+        if pair.symmetric_errors is not None and np.isfinite(pair.symmetric_errors).any()
     ]
-    means = [float(np.nanmean(error)) for error in scaled]
+    means = [float(error.mean()) for error in matched]
     within = [float((pair.errors <= 0.05 * pair.diameter).mean()) for pair in found]
     return Evaluation(
         mean_geodesic_error_x100=100 * float(np.mean(means)),
-        median_geodesic_error_x100=100 * float(np.mean([np.nanmedian(e) for e in scaled])),
+        median_geodesic_error_x100=100 * float(np.mean([np.median(e) for e in matched])),
         symmetric_mean_geodesic_error_x100=(
-            100 * float(np.mean(symmetric)) if len(symmetric) == len(found) else None
+            100 * float(np.mean(symmetric)) if len(symmetric) == len(matched) else None
         ),
         accuracy_5pct_diameter=float(np.mean(within)),
         auc=float(np.mean([area_under_curve(error) for error in scaled])),

@@ -24,6 +24,7 @@ from esd.spectral.cache import Cache
 _FORMAT = 1
 _LARGEST_FILE = 2**30
 _BUNDLED = Path(__file__).parent / "models"
+_ALIASES = {"default": "paper-hks"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,9 +129,10 @@ def load_model(model: str | os.PathLike[str]) -> Model:
     if not folder.exists():
         if str(model) in DESCRIPTOR_KINDS:
             return raw_model(str(model))
-        folder = _BUNDLED / folder.name if folder.name == str(model) else folder
+        name = _ALIASES.get(str(model), str(model))
+        folder = _BUNDLED / name if Path(name).name == name else folder
     if not (folder / "config.json").is_file():
-        known = ", ".join([*bundled_models(), *DESCRIPTOR_KINDS])
+        known = ", ".join([*_ALIASES, *bundled_models(), *DESCRIPTOR_KINDS])
         raise InputError(f"There is no model '{model}': expected a model folder or one of {known}.")
     config = _read_config(folder / "config.json")
     weights = _read_weights(folder / "model.safetensors")

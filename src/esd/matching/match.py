@@ -13,7 +13,7 @@ from esd.matching.nearest import nearest
 from esd.mesh.mesh import MeshLike, as_mesh
 from esd.spectral.cache import Cache, default_cache
 
-DEFAULT_MODEL = "hks"
+DEFAULT_MODEL = "default"
 """Name of the model that is used where none is given."""
 
 

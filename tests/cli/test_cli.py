@@ -1,0 +1,149 @@
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from esd.mesh.files import write_mesh
+from esd.mesh.mesh import Mesh
+from esd.mesh.shapes import icosphere, torus
+
+
+def run(*arguments: object, expect: int = 0) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "esd", *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == expect, done.stderr
+    assert "Traceback" not in done.stderr
+    return done
+
+
+def files(folder: Path) -> set[str]:
+    return {name for _, _, names in os.walk(folder) for name in names}
+
+
+@pytest.fixture
+def shapes(tmp_path) -> Path:
+    """Meshes of one connectivity, of four subjects, each bent a little more."""
+    folder = tmp_path / "set"
+    folder.mkdir()
+    mesh = torus(24, 16)
+    for i in range(4):
+        bend = np.sin(mesh.vertices[:, [1, 2, 0]] * (1 + 0.2 * i) + np.arange(3))
+        write_mesh(Mesh(mesh.vertices + 0.2 * bend, mesh.faces), folder / f"tr_reg_0{i}0.off")
+    return folder
+
+
+def test_from_training_to_a_map_and_its_error(shapes, tmp_path):
+    model, output = tmp_path / "m", tmp_path / "map.csv"
+    run(
+        "train",
+        shapes,
+        "-o",
+        model,
+        "--preset",
+        "paper-hks",
+        "--steps",
+        600,
+        "--include",
+        "*[0-2]0",
+    )
+    done = run(
+        "match",
+        shapes / "tr_reg_000.off",
+        shapes / "tr_reg_030.off",
+        "-o",
+        output,
+        "-m",
+        model,
+        "--json",
+    )
+    summary = json.loads(done.stdout)
+    assert summary["matched"] == 384
+    rows = output.read_text().splitlines()
+    assert rows[0] == "source,target,distance,confidence"
+    assert len(rows) == 385
+    pairs = tmp_path / "pairs.tsv"
+    pairs.write_text("tr_reg_000\ttr_reg_030\n")
+    trained = json.loads(
+        run("evaluate", shapes, "--model", model, "--pairs", pairs, "--no-refine", "--json").stdout
+    )
+    assert trained["pairs"] == 1
+    everything = json.loads(run("evaluate", shapes, "--model", "wks", "--json").stdout)
+    assert everything["pairs"] == 12
+    promised = (
+        "mean_geodesic_error_x100 median_geodesic_error_x100 accuracy_5pct_diameter auc coverage"
+    )
+    assert {*promised.split(), "pairs", "seconds"} <= set(trained)
+    assert "Steps done: 600" in run("model", "show", model).stdout
+    assert "hks (raw descriptor)" in run("model", "list").stdout
+
+
+def test_spectrum_descriptor_and_cache(shapes, tmp_path):
+    mesh = shapes / "tr_reg_000.off"
+    run("spectrum", mesh, "-k", 20, "-o", tmp_path / "s.npz")
+    with np.load(tmp_path / "s.npz", allow_pickle=False) as file:
+        assert file["eigenvalues"].shape == (20,)
+    for kind, width in (("hks", 100), ("wks", 100), ("gps", 25), ("sihks", 19)):
+        run("descriptor", mesh, "--kind", kind, "-o", tmp_path / "d.npy")
+        assert np.load(tmp_path / "d.npy").shape == (384, width)
+    run("descriptor", mesh, "-o", tmp_path / "d.csv")
+    assert len((tmp_path / "d.csv").read_text().splitlines()) == 384
+    assert "entries" in run("cache").stdout
+    assert " 0 entries" in run("cache", "--clear").stdout
+
+
+def test_bad_input_ends_with_one_line_and_leaves_nothing(shapes, tmp_path):
+    good = shapes / "tr_reg_000.off"
+    bad = tmp_path / "bad"
+    bad.mkdir()
+    (bad / "empty.off").write_text("")
+    (bad / "nan.off").write_text("OFF\n3 1 0\n0 0 0\n1 0 nan\n0 1 0\n3 0 1 2\n")
+    (bad / "range.off").write_text("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 7\n")
+    (bad / "three.off").write_text("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n")
+    write_mesh(icosphere(1), bad / "small.off")
+    output = tmp_path / "out"
+    output.mkdir()
+    for name in ("missing", "empty", "nan", "range", "three", "small"):
+        done = run(
+            "match", bad / f"{name}.off", good, "-m", "hks", "-o", output / "m.csv", expect=1
+        )
+        assert done.stderr.count("\n") == 1, done.stderr
+        assert done.stderr.startswith("esd: ")
+    for arguments in (
+        ("spectrum", good, "-k", 5000, "-o", output / "s.npz"),
+        ("spectrum", good, "-o", output / "s.txt"),
+        ("descriptor", good, "--kind", "abc", "-o", output / "d.npy"),
+        ("match", good, good, "-m", "nosuch", "-o", output / "m.csv"),
+        ("match", good, good, "-m", "hks", "-o", output / "m.xml"),
+        ("match", good, good, "-m", "hks", "-o", output / "no" / "m.csv"),
+        ("match", good, good, "-m", "hks", "--refine", "-o", output / "m.csv"),
+        ("match", good, good, "-m", "hks", "--reject", "-o", output / "m.csv"),
+        ("evaluate", bad / "none", "-m", "hks"),
+        ("evaluate", shapes, "-m", "hks", "--include", "nothing"),
+        ("train", shapes, "-o", output / "m", "--preset", "nosuch"),
+        ("train", shapes, "-o", good, "--preset", "paper-hks"),
+        ("train", shapes, "-o", output / "m", "--preset", "paper-hks", "--include", "tr_reg_000"),
+    ):
+        done = run(*arguments, expect=1)
+        assert done.stderr.count("\n") == 1, done.stderr
+    assert files(output) == set()
+
+
+def test_wrong_usage_ends_with_two(shapes):
+    run("match", shapes, expect=2)
+    run("nosuch", expect=2)
+    run("spectrum", shapes / "tr_reg_000.off", "-k", "many", "-o", "x.npz", expect=2)
+
+
+def test_help_and_version_load_nothing_heavy():
+    run("--version")
+    code = (
+        "import sys; from esd.cli.app import app\n"
+        "heavy = {'scipy', 'torch', 'trimesh', 'matplotlib', 'h5py'} & set(sys.modules)\n"
+        "sys.exit(str(heavy) if heavy else 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr

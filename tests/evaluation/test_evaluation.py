@@ -1,0 +1,120 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from esd.common import InputError
+from esd.datasets.collection import Shape
+from esd.descriptors.recipe import Descriptor, Recipe
+from esd.evaluation.errors import area_under_curve, cumulative_curve, geodesic_errors
+from esd.evaluation.protocol import evaluate
+from esd.learning.model import Model
+from esd.matching.match import match_embedded
+from esd.mesh.geodesics import geodesic_diameter, geodesic_graph
+from esd.mesh.mesh import Mesh
+
+
+def test_errors_are_distances_from_either_side(blob):
+    graph = geodesic_graph(blob)
+    generator = np.random.default_rng(0)
+    count = len(blob.vertices)
+    many, few = generator.integers(count, size=600), generator.integers(5, size=600)
+    expected = graph.distances(np.arange(count))
+    for predicted, truth in [(many, few), (few, many)]:
+        other = (truth + 1) % count
+        errors = geodesic_errors(graph, predicted, (truth, other))
+        np.testing.assert_allclose(errors[0], expected[predicted, truth])
+        np.testing.assert_allclose(errors[1], expected[predicted, other])
+
+
+def test_points_without_match_or_truth_have_no_error(blob):
+    [errors] = geodesic_errors(geodesic_graph(blob), np.array([0, -1, 3]), (np.array([0, 1, -1]),))
+    np.testing.assert_array_equal(errors, [0, np.nan, np.nan])
+
+
+def test_curve_and_area_of_known_errors():
+    errors = np.array([0.0, 0.1, 0.2, np.nan])
+    np.testing.assert_array_equal(
+        cumulative_curve(errors, np.array([0, 0.1, 0.15, 1])), [0.25, 0.5, 0.5, 0.75]
+    )
+    assert area_under_curve(errors, largest=0.2) == pytest.approx((1 + 0.5 + 0) / 4)
+    radii = np.linspace(0, 0.25, 20001)
+    assert area_under_curve(errors) == pytest.approx(
+        cumulative_curve(errors, radii).mean(), abs=1e-3
+    )
+
+
+@pytest.fixture
+def model():
+    recipe = Recipe((Descriptor("hks", 20, log=True),), eigenpairs=60)
+    return Model("hks", recipe, np.zeros(20), np.ones(20), margin=4.0)
+
+
+@pytest.fixture
+def shapes(blob):
+    """A shape, and itself twice as large with its vertices renumbered."""
+    count = len(blob.vertices)
+    order = np.random.default_rng(0).permutation(count)
+    place = np.argsort(order)
+    renumbered = Mesh(2 * blob.vertices[order], place[blob.faces])
+    return (
+        Shape("a", "a", "t", lambda: blob, lambda: np.arange(count)),
+        Shape("b", "b", "t", lambda: renumbered, lambda: place, lambda: place[::-1]),
+    )
+
+
+def test_perfect_maps_have_perfect_figures(model, shapes):
+    result, [pair] = evaluate(model, [shapes])
+    assert result.accuracy_5pct_diameter > 0.99
+    assert result.mean_geodesic_error_x100 < 1
+    assert result.auc > 0.98
+    assert result.coverage > 0.98
+    assert (result.pairs, result.matched) == (1, 1.0)
+    assert result.symmetric_mean_geodesic_error_x100 <= result.mean_geodesic_error_x100
+    assert pair.diameter == pytest.approx(2 * geodesic_diameter(shapes[0].mesh()), rel=0.01)
+    assert len(pair.errors) == len(shapes[0].mesh().vertices)
+
+
+def test_figures_do_not_depend_on_the_number_of_processes(model, shapes):
+    pairs = [shapes, shapes[::-1]]
+    shapes_without_lambdas = evaluate(model, pairs)[0]
+    again = evaluate(model, pairs, processes=2)[0]
+    assert replace(again, seconds=0) == replace(shapes_without_lambdas, seconds=0)
+    assert again.symmetric_mean_geodesic_error_x100 is None  # known for one shape only
+
+
+def test_wrong_truth_shows_and_missing_points_do_not_count(model, shapes):
+    source, target = shapes
+    count = len(source.mesh().vertices)
+    shifted = replace(
+        target, correspondence=lambda: np.roll(target.correspondence(), 9), symmetric=None
+    )
+    wrong, _ = evaluate(model, [(source, shifted)])
+    assert wrong.mean_geodesic_error_x100 > 10
+    missing = np.where(np.arange(count) < 100, -1, np.arange(count))
+    partial = replace(source, correspondence=lambda: missing)
+    _, [pair] = evaluate(model, [(partial, target)])
+    assert len(pair.errors) == count - 100
+    assert np.isfinite(pair.errors).all()
+
+
+def test_rejected_points_are_wrong_but_not_in_the_mean(model, shapes):
+    _, [pair] = evaluate(model, [shapes])
+    distance = match_embedded(
+        *(model.embed_mesh(shape.mesh()) for shape in shapes), margin=model.margin
+    ).distance
+    strict = replace(model, margin=2 * float(np.median(distance)) ** 2)  # rejects half
+    result, _ = evaluate(strict, [shapes], reject=True)
+    assert result.matched == pytest.approx(0.5, abs=0.01)
+    assert result.accuracy_5pct_diameter <= result.matched
+    assert len(pair.errors) == len(distance)
+    with pytest.raises(InputError, match="No vertex was matched"):
+        evaluate(replace(model, margin=1e-300), [shapes], reject=True)
+    with pytest.raises(InputError, match="no threshold"):
+        evaluate(replace(model, margin=None), [shapes], reject=True)
+
+
+def test_correspondences_beyond_the_mesh_are_refused(model, shapes):
+    beyond = replace(shapes[1], correspondence=lambda: np.array([10**6]))
+    with pytest.raises(InputError, match="'b' names vertex 1000000"):
+        evaluate(model, [(shapes[0], beyond)])

@@ -1,0 +1,118 @@
+import numpy as np
+import pytest
+
+from esd.common import InputError
+from esd.learning.model import raw_model
+from esd.matching.correspondence import Correspondence, load_map, save_map
+from esd.matching.match import match, match_embedded
+from esd.matching.nearest import nearest
+from esd.mesh.mesh import Mesh
+
+
+@pytest.mark.parametrize("width", [3, 100])  # by tree, by products
+def test_nearest_is_the_nearest(width):
+    generator = np.random.default_rng(0)
+    source, target = (
+        generator.standard_normal((70, width)) + 50,
+        generator.standard_normal((90, width)) + 50,
+    )
+    every = np.linalg.norm(source[:, None] - target, axis=2)
+    index, distance = nearest(source, target)
+    np.testing.assert_array_equal(index, every.argmin(axis=1))
+    np.testing.assert_allclose(distance, every.min(axis=1), rtol=1e-12)
+
+
+def test_rows_that_are_not_finite_take_no_part():
+    source = np.array([[0.0], [np.nan], [2.0]])
+    target = np.array([[np.inf], [0.4], [1.9]])
+    index, distance = nearest(source, target)
+    np.testing.assert_array_equal(index, [1, -1, 2])
+    assert np.isinf(distance[1])
+    with pytest.raises(InputError, match="no vertex with a finite"):
+        nearest(source, target[:1])
+    with pytest.raises(InputError, match="equally long"):
+        nearest(source, np.zeros((3, 2)))
+
+
+def test_similarity_and_rejection():
+    result = match_embedded(np.array([[0.0], [3.0]]), np.array([[1.0]]), margin=5.0)
+    np.testing.assert_allclose(result.confidence, np.exp([-1 / 5, -4 / 5]))
+    kept = result.rejecting(2.5)
+    np.testing.assert_array_equal(kept.target_index, [0, -1])
+    np.testing.assert_array_equal(kept.is_matched(), [True, False])
+    assert kept.confidence[1] == 0
+
+
+def test_without_margin_similarity_is_relative_to_chance():
+    generator = np.random.default_rng(0)
+    source, target = generator.standard_normal((300, 4)), generator.standard_normal((200, 4)) + 1
+    mean = ((source[:, None] - target) ** 2).sum(axis=2).mean()
+    result = match_embedded(source, target, margin=None)
+    np.testing.assert_allclose(result.confidence, np.exp(-(result.distance**2) / mean))
+
+
+def test_a_shape_matches_its_moved_and_renumbered_self(blob):
+    from esd.descriptors.recipe import Descriptor, Recipe
+    from esd.learning.model import Model
+
+    order = np.random.default_rng(0).permutation(len(blob.vertices))
+    rotation = np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))[0]
+    moved = Mesh(2 * blob.vertices[order] @ rotation, np.argsort(order)[blob.faces])
+    recipe = Recipe((Descriptor("hks", 30, log=True),), eigenpairs=100)
+    model = Model("hks", recipe, np.zeros(30), np.ones(30))
+    result = match(blob, moved, model=model)
+    assert (order[result.target_index] == np.arange(len(order))).mean() > 0.99
+    assert result.confidence.min() > 0.999
+
+
+def test_too_small_meshes_are_refused_by_models():
+    tetrahedron = Mesh(np.eye(4, 3), [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
+    with pytest.raises(InputError, match="300 eigenpairs were asked for; this mesh of 4"):
+        match(tetrahedron, tetrahedron, model=raw_model("hks"))
+
+
+@pytest.mark.parametrize("suffix", ["csv", "npy", "txt", "vts"])
+def test_maps_come_back_as_they_were_saved(tmp_path, suffix):
+    saved = Correspondence(
+        np.array([2, -1, 0]), np.array([0.25, np.inf, 1.5]), np.array([0.5, 0.0, 0.125])
+    )
+    path = tmp_path / f"map.{suffix}"
+    save_map(saved, path)
+    back = load_map(path, source_count=3, target_count=3)
+    np.testing.assert_array_equal(back.target_index, saved.target_index)
+    if suffix == "csv":
+        assert path.read_text().splitlines()[:2] == [
+            "source,target,distance,confidence",
+            "0,2,0.25,0.5",
+        ]
+        np.testing.assert_array_equal(back.distance, saved.distance)
+        np.testing.assert_array_equal(back.confidence, saved.confidence)
+    elif suffix != "npy":
+        assert path.read_text() == "3\n0\n1\n"
+    with pytest.raises(InputError, match="maps 3 vertices; the source mesh has 4"):
+        load_map(path, source_count=4, target_count=3)
+    with pytest.raises(InputError, match="names target vertex 2"):
+        load_map(path, source_count=3, target_count=2)
+
+
+def test_damaged_maps_are_refused(tmp_path):
+    counts = {"source_count": 2, "target_count": 2}
+    for name, content in [
+        ("a.csv", b"from,to\n0,1\n"),
+        ("b.csv", b"source,target\n0,x\n"),
+        ("c.npy", b"garbage"),
+        ("d.txt", b"one\n"),
+    ]:
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(InputError, match=name):
+            load_map(tmp_path / name, **counts)
+    np.save(tmp_path / "e.npy", np.zeros((2, 2)))
+    with pytest.raises(InputError, match=r"integers of shape \(n,\)"):
+        load_map(tmp_path / "e.npy", **counts)
+    np.save(tmp_path / "f.npy", np.array([{}, {}]), allow_pickle=True)
+    with pytest.raises(InputError, match="holds no map"):
+        load_map(tmp_path / "f.npy", **counts)
+    with pytest.raises(InputError, match="ends in one of"):
+        load_map(tmp_path / "g.xml", **counts)
+    with pytest.raises(InputError, match="There is no file"):
+        load_map(tmp_path / "g.csv", **counts)
