@@ -1,0 +1,22 @@
+from esd.datasets.bodies import TESTING_SUBJECTS, bodies
+from esd.evaluation.protocol import evaluate
+from esd.learning.model import bundled_models, load_model
+from esd.learning.presets import PRESETS
+
+
+def test_a_model_is_bundled_for_each_preset_and_none_saw_the_testing_subjects():
+    assert bundled_models() == tuple(sorted(PRESETS))
+    for name in bundled_models():
+        seen = {shape.split("_")[0] for shape in load_model(name).card["shapes"]}
+        assert seen
+        assert not seen & set(TESTING_SUBJECTS)
+    assert load_model("default").name == "paper-hks"
+
+
+def test_embedding_improves_its_descriptor_on_bodies_it_never_saw():
+    collection = bodies()
+    pairs = [(collection["s10_p01"], collection["s12_p05"])]
+    raw, embedded = (evaluate(load_model(n), pairs)[0] for n in ("hks", "paper-hks"))
+    assert (
+        embedded.symmetric_mean_geodesic_error_x100 < 0.7 * raw.symmetric_mean_geodesic_error_x100
+    )

@@ -1,0 +1,61 @@
+"""Train the models that ship with the package and write their figures into their cards.
+
+    python tools/bundle_models.py --transfer ../shared/data/faust_r 'tr_reg_0[67]*'
+
+A model that is there already is only measured; remove its folder to train it again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+from esd.datasets.collection import Collection
+from esd.datasets.open import open_collection
+from esd.evaluation.protocol import evaluate
+from esd.learning.model import Model, load_model, save_model
+from esd.learning.presets import PRESETS
+from esd.spectral.cache import default_cache
+
+MODELS = Path(__file__).parents[1] / "src" / "esd" / "learning" / "models"
+HELD_OUT = "s1[0-3]_p0[0369]"  # the subjects kept for testing, in four poses
+
+
+def figures(model: Model, collection: Collection) -> str:
+    result, _ = evaluate(
+        model, collection.pairs(), processes=os.cpu_count() or 1, cache=default_cache()
+    )
+    return (
+        f"{result.mean_geodesic_error_x100:.2f} mean geodesic error x 100 / √area, "
+        f"{result.symmetric_mean_geodesic_error_x100:.2f} up to left and right, "
+        f"{result.accuracy_5pct_diameter:.1%} within 5 % of the diameter ({result.pairs} pairs)"
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--transfer", nargs=2, metavar=("FOLDER", "GLOB"))
+    options = parser.parse_args()
+    MODELS.mkdir(exist_ok=True)
+    held_out = open_collection("bodies").including(HELD_OUT)
+    for name in PRESETS:
+        folder = MODELS / name
+        command = f"esd train bodies --preset {name} -o {name} --seed 0"
+        if not folder.exists():
+            arguments = [*command.split()[1:-3], str(folder), "--seed", "0"]
+            subprocess.run([sys.executable, "-m", "esd", *arguments], check=True)
+        model = load_model(folder)
+        card = {**model.card, "command": command, "on_held_out_bodies": figures(model, held_out)}
+        if options.transfer:
+            other = open_collection(options.transfer[0]).including(options.transfer[1])
+            card[f"on_{other.name}"] = f"{figures(model, other)}, {options.transfer[1]}"
+        save_model(replace(model, card=card), folder)
+        print(name, card, sep="\n")
+
+
+if __name__ == "__main__":
+    main()
