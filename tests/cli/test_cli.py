@@ -119,7 +119,6 @@ def test_bad_input_ends_with_one_line_and_leaves_nothing(shapes, tmp_path):
         ("match", good, good, "-m", "nosuch", "-o", output / "m.csv"),
         ("match", good, good, "-m", "hks", "-o", output / "m.xml"),
         ("match", good, good, "-m", "hks", "-o", output / "no" / "m.csv"),
-        ("match", good, good, "-m", "hks", "--refine", "-o", output / "m.csv"),
         ("match", good, good, "-m", "hks", "--reject", "-o", output / "m.csv"),
         ("evaluate", bad / "none", "-m", "hks"),
         ("evaluate", shapes, "-m", "hks", "--include", "nothing"),

@@ -28,9 +28,11 @@ def evaluate(
         ),
     ] = None,
     refine: Annotated[
-        bool | None,
-        typer.Option("--refine/--no-refine", help="Refine the maps in the spectral domain."),
-    ] = None,
+        bool,
+        typer.Option(
+            "--refine/--no-refine", help="Refine the maps in the spectral domain, by ZoomOut."
+        ),
+    ] = False,
     reject: Annotated[
         bool, typer.Option("--reject", help="Drop matches beyond the model's threshold, C / 2.")
     ] = False,
@@ -45,7 +47,6 @@ def evaluate(
     from dataclasses import asdict
 
     from esd.cli.progress import progress
-    from esd.cli.refinement import check_refinement
     from esd.common import InputError
     from esd.datasets.collection import read_pairs
     from esd.datasets.open import open_collection
@@ -53,7 +54,6 @@ def evaluate(
     from esd.learning.model import load_model
     from esd.spectral.cache import default_cache
 
-    check_refinement(refine)
     if pairs and include:
         raise InputError("Give --pairs or --include, not both.")
     loaded = load_model(model)
@@ -69,6 +69,7 @@ def evaluate(
         result, _ = evaluate_model(
             loaded,
             chosen,
+            refine=refine,
             reject=reject,
             processes=os.cpu_count() or 1,
             cache=default_cache(),

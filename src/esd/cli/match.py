@@ -25,9 +25,11 @@ def match(
     ],
     model: ModelOption = "default",
     refine: Annotated[
-        bool | None,
-        typer.Option("--refine/--no-refine", help="Refine the map in the spectral domain."),
-    ] = None,
+        bool,
+        typer.Option(
+            "--refine/--no-refine", help="Refine the map in the spectral domain, by ZoomOut."
+        ),
+    ] = False,
     reject: Annotated[
         bool, typer.Option("--reject", help="Drop matches beyond the model's threshold, C / 2.")
     ] = False,
@@ -38,18 +40,16 @@ def match(
 
     import numpy as np
 
-    from esd.cli.refinement import check_refinement
     from esd.learning.model import load_model
     from esd.matching.correspondence import check_map_path, save_map
     from esd.matching.match import match as match_meshes
     from esd.mesh.mesh import as_mesh
 
     start = time.perf_counter()
-    check_refinement(refine)
     check_map_path(output)
     loaded = load_model(model)
     source_mesh, target_mesh = as_mesh(source), as_mesh(target)
-    result = match_meshes(source_mesh, target_mesh, model=loaded)
+    result = match_meshes(source_mesh, target_mesh, model=loaded, refine=refine)
     if reject:
         result = result.rejecting(loaded.threshold())
     save_map(result, output)

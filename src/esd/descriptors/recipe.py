@@ -124,10 +124,13 @@ def descriptors(recipe: Recipe, mesh: Mesh, *, cache: Cache | None = None) -> Fl
     InputError
         If the mesh has too few vertices for the recipe.
     """
+    return spectrum_descriptors(recipe, recipe_spectrum(recipe, mesh, cache=cache))
+
+
+def recipe_spectrum(recipe: Recipe, mesh: Mesh, *, cache: Cache | None = None) -> Spectrum:
+    """The spectrum of a mesh that a recipe asks for."""
     pairs = spectrum(mesh, recipe.eigenpairs, kind=recipe.laplacian, cache=cache)
-    if not recipe.unit_area:
-        pairs = pairs.with_area(surface_area(mesh))
-    return spectrum_descriptors(recipe, pairs)
+    return pairs if recipe.unit_area else pairs.with_area(surface_area(mesh))
 
 
 def spectrum_descriptors(recipe: Recipe, pairs: Spectrum) -> FloatArray:

@@ -14,12 +14,14 @@ import numpy as np
 
 from esd.common import FloatArray, InputError, IntArray
 from esd.datasets.collection import Shape
+from esd.descriptors.recipe import recipe_spectrum
 from esd.evaluation.errors import area_under_curve, geodesic_errors
 from esd.learning.model import Model
 from esd.matching.match import match_embedded
 from esd.mesh.geodesics import geodesic_diameter, geodesic_graph
 from esd.mesh.mesh import Mesh, surface_area
 from esd.spectral.cache import Cache
+from esd.spectral.spectrum import Spectrum
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,6 +94,7 @@ class Evaluation:
 class _Embedded:
     name: str
     mesh: Mesh
+    pairs: Spectrum
     values: FloatArray
     index: IntArray
     symmetric: IntArray | None
@@ -101,6 +104,7 @@ def evaluate(
     model: Model,
     pairs: Sequence[tuple[Shape, Shape]],
     *,
+    refine: bool = False,
     reject: bool = False,
     processes: int = 1,
     cache: Cache | None = None,
@@ -112,6 +116,8 @@ def evaluate(
     ----------
     pairs
         Source and target shapes.
+    refine
+        Whether maps are refined by `zoomout`.
     reject
         Whether matches beyond the model's threshold are dropped.
     processes
@@ -134,7 +140,7 @@ def evaluate(
     for source, target in pairs:
         sources.setdefault(target.name, []).append(embedded[source.name])
     jobs = [(embedded[name], group) for name, group in sources.items()]
-    work = partial(_errors_on_target, margin=model.margin, threshold=threshold)
+    work = partial(_errors_on_target, margin=model.margin, refine=refine, threshold=threshold)
     found: list[PairErrors] = []
     with _mapping(min(processes, len(jobs))) as mapping:
         for results in mapping(work, jobs):
@@ -166,14 +172,14 @@ def _embedded(model: Model, shape: Shape, cache: Cache | None) -> _Embedded:
                 f"its mesh has {len(mesh.vertices)} vertices."
             )
     try:
-        values = model.embed_mesh(mesh, cache=cache)
+        pairs = recipe_spectrum(model.recipe, mesh, cache=cache)
     except InputError as error:
         raise InputError(f"'{shape.name}': {error}") from error
-    return _Embedded(shape.name, mesh, values, index, symmetric)
+    return _Embedded(shape.name, mesh, pairs, model.embed_spectrum(pairs), index, symmetric)
 
 
 def _errors_on_target(
-    job: tuple[_Embedded, list[_Embedded]], *, margin: float | None, threshold: float
+    job: tuple[_Embedded, list[_Embedded]], *, margin: float | None, refine: bool, threshold: float
 ) -> list[PairErrors]:
     """Errors of the maps from several sources to one target."""
     target, sources = job
@@ -181,7 +187,8 @@ def _errors_on_target(
     diameter = geodesic_diameter(target.mesh, graph=graph)
     maps = []
     for source in sources:
-        match = match_embedded(source.values, target.values, margin=margin)
+        spectra = (source.pairs, target.pairs) if refine else None
+        match = match_embedded(source.values, target.values, margin=margin, spectra=spectra)
         maps.append(match.rejecting(threshold).target_index)
     # all maps at once, so that each target vertex is the source of distances only once
     predicted = [

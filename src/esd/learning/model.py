@@ -17,9 +17,16 @@ from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 
 from esd.common import FloatArray, InputError
-from esd.descriptors.recipe import DESCRIPTOR_KINDS, Recipe, descriptors, single_recipe
+from esd.descriptors.recipe import (
+    DESCRIPTOR_KINDS,
+    Recipe,
+    recipe_spectrum,
+    single_recipe,
+    spectrum_descriptors,
+)
 from esd.mesh.mesh import Mesh
 from esd.spectral.cache import Cache
+from esd.spectral.spectrum import Spectrum
 
 _FORMAT = 1
 _LARGEST_FILE = 2**30
@@ -95,7 +102,11 @@ class Model:
 
     def embed_mesh(self, mesh: Mesh, *, cache: Cache | None = None) -> FloatArray:
         """Embedding (n, outputs) of the vertices of a mesh; NaN at vertices without a face."""
-        return self.embed(descriptors(self.recipe, mesh, cache=cache))
+        return self.embed_spectrum(recipe_spectrum(self.recipe, mesh, cache=cache))
+
+    def embed_spectrum(self, pairs: Spectrum) -> FloatArray:
+        """Embedding (n, outputs) of the vertices, from the `recipe_spectrum` of a mesh."""
+        return self.embed(spectrum_descriptors(self.recipe, pairs))
 
 
 def raw_model(kind: str) -> Model:

@@ -7,11 +7,14 @@ import os
 import numpy as np
 
 from esd.common import FloatArray
+from esd.descriptors.recipe import recipe_spectrum
 from esd.learning.model import Model, load_model
 from esd.matching.correspondence import Correspondence
 from esd.matching.nearest import nearest
+from esd.matching.refine import zoomout
 from esd.mesh.mesh import MeshLike, as_mesh
 from esd.spectral.cache import Cache, default_cache
+from esd.spectral.spectrum import Spectrum
 
 DEFAULT_MODEL = "default"
 """Name of the model that is used where none is given."""
@@ -22,6 +25,7 @@ def match(
     target: MeshLike,
     *,
     model: Model | str | os.PathLike[str] = DEFAULT_MODEL,
+    refine: bool = False,
     cache: Cache | None = None,
 ) -> Correspondence:
     """The target vertex that corresponds to each source vertex.
@@ -32,6 +36,8 @@ def match(
         Meshes, or whatever `as_mesh` takes.
     model
         A `Model`, or what `load_model` takes.
+    refine
+        Whether the map is refined by `zoomout`.
     cache
         Where spectra are looked up and kept; the user's cache by default.
 
@@ -42,12 +48,22 @@ def match(
     """
     model = model if isinstance(model, Model) else load_model(model)
     cache = default_cache() if cache is None else cache
-    embedded = (model.embed_mesh(as_mesh(mesh), cache=cache) for mesh in (source, target))
-    return match_embedded(*embedded, margin=model.margin)
+    first = recipe_spectrum(model.recipe, as_mesh(source), cache=cache)
+    second = recipe_spectrum(model.recipe, as_mesh(target), cache=cache)
+    return match_embedded(
+        model.embed_spectrum(first),
+        model.embed_spectrum(second),
+        margin=model.margin,
+        spectra=(first, second) if refine else None,
+    )
 
 
 def match_embedded(
-    source: FloatArray, target: FloatArray, *, margin: float | None
+    source: FloatArray,
+    target: FloatArray,
+    *,
+    margin: float | None,
+    spectra: tuple[Spectrum, Spectrum] | None = None,
 ) -> Correspondence:
     """The nearest row of `target` (m, d) to each row of `source` (n, d) as a correspondence.
 
@@ -57,8 +73,15 @@ def match_embedded(
         C of the similarity exp(−distance² / C) (section 3.4 of the paper leaves its form open).
         Where there is none, it is the mean squared distance of any two rows, so that descriptors
         no more alike than chance have similarity exp(−1).
+    spectra
+        Of the source and the target; the map is then refined by `zoomout`, and the distances are
+        those of the refined matches.
     """
     index, distance = nearest(source, target)
+    if spectra is not None:
+        index = zoomout(spectra[0], spectra[1], index)
+        reached = np.linalg.norm(source - target[index], axis=1)
+        distance = np.where(index >= 0, reached, np.inf)
     scale = _mean_squared_distance(source, target) if margin is None else margin
     return Correspondence(index, distance, np.exp(-(distance**2) / scale))
 
