@@ -135,6 +135,15 @@ class Collection:
         return tuple(different or every)
 
 
+def check_correspondence(shape: Shape, index: IntArray, mesh: Mesh) -> None:
+    """Raise an `InputError` if a correspondence of a shape names a vertex that its mesh lacks."""
+    if index.max() >= len(mesh.vertices):
+        raise InputError(
+            f"The correspondence of '{shape.name}' names vertex {index.max()} (from 0); "
+            f"its mesh has {len(mesh.vertices)} vertices."
+        )
+
+
 def read_pairs(
     path: str | os.PathLike[str], collection: Collection
 ) -> tuple[tuple[Shape, Shape], ...]:

@@ -13,7 +13,7 @@ from multiprocessing import get_context
 import numpy as np
 
 from esd.common import FloatArray, InputError, IntArray
-from esd.datasets.collection import Shape
+from esd.datasets.collection import Shape, check_correspondence
 from esd.descriptors.recipe import recipe_spectrum
 from esd.evaluation.errors import area_under_curve, geodesic_errors
 from esd.learning.model import Model
@@ -166,11 +166,8 @@ def _embedded(model: Model, shape: Shape, cache: Cache | None) -> _Embedded:
     index = shape.correspondence()
     symmetric = shape.symmetric() if shape.symmetric is not None else None
     for truth in (index, symmetric):
-        if truth is not None and truth.max() >= len(mesh.vertices):
-            raise InputError(
-                f"The correspondence of '{shape.name}' names vertex {truth.max()} (from 0); "
-                f"its mesh has {len(mesh.vertices)} vertices."
-            )
+        if truth is not None:
+            check_correspondence(shape, truth, mesh)
     try:
         pairs = recipe_spectrum(model.recipe, mesh, cache=cache)
     except InputError as error:

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from esd.common import FloatArray, InputError, IntArray
-from esd.datasets.collection import Collection
+from esd.datasets.collection import Collection, check_correspondence
 from esd.descriptors.recipe import Recipe, descriptors
 from esd.spectral.cache import Cache
 
@@ -77,11 +77,7 @@ def point_table(
     for shape in collection.shapes:
         mesh = shape.mesh()
         index = shape.correspondence()
-        if index.max() >= len(mesh.vertices):
-            raise InputError(
-                f"The correspondence of '{shape.name}' names vertex {index.max()} (from 0); "
-                f"its mesh has {len(mesh.vertices)} vertices."
-            )
+        check_correspondence(shape, index, mesh)
         try:
             columns = descriptors(recipe, mesh, cache=cache)
         except InputError as error:
