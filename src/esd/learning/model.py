@@ -24,7 +24,7 @@ from esd.descriptors.recipe import (
     single_recipe,
     spectrum_descriptors,
 )
-from esd.mesh.mesh import Mesh
+from esd.mesh.mesh import Mesh, PointCloud
 from esd.spectral.cache import Cache
 from esd.spectral.spectrum import Spectrum
 
@@ -114,11 +114,11 @@ class Model:
             result /= np.linalg.norm(result, axis=1, keepdims=True)
         return result
 
-    def embed_mesh(self, mesh: Mesh, *, cache: Cache | None = None) -> FloatArray:
+    def embed_mesh(self, mesh: Mesh | PointCloud, *, cache: Cache | None = None) -> FloatArray:
         """Embedding (n, outputs) of the vertices of a mesh; NaN at vertices without a face."""
         return self.embed_spectrum(mesh, recipe_spectrum(self.recipe, mesh, cache=cache))
 
-    def embed_spectrum(self, mesh: Mesh, pairs: Spectrum) -> FloatArray:
+    def embed_spectrum(self, mesh: Mesh | PointCloud, pairs: Spectrum) -> FloatArray:
         """Embedding (n, outputs) of the vertices of a mesh, from its `recipe_spectrum`."""
         return self.embed(spectrum_descriptors(self.recipe, mesh, pairs))
 

@@ -7,14 +7,19 @@ import logging
 import os
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from esd.common import InputError, IntArray, whole_file
 from esd.mesh.mesh import Mesh
 
 FORMATS = (".off", ".obj", ".ply", ".stl", ".glb", ".gltf")
 """Suffixes of the mesh files that are read and written."""
+
+POINT_FORMATS = (".xyz",)
+"""Suffixes of the files that hold points alone; `.ply` may, too."""
 
 _log = logging.getLogger(__name__)
 
@@ -36,13 +41,40 @@ def read_mesh(path: str | os.PathLike[str]) -> Mesh:
     InputError
         If there is no such file, or no triangle mesh in it, or it is cut short.
     """
+    vertices, faces = read_arrays(path)
+    try:
+        return Mesh(vertices, faces)
+    except InputError as error:
+        raise InputError(f"'{path}': {error}") from error
+
+
+def read_arrays(path: str | os.PathLike[str]) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+    """Vertices (n, 3) and faces (m, 3) in a file, as they are.
+
+    Coordinates that are not finite and
+    indices beyond the last vertex are kept. Without faces, m is zero.
+
+    Parameters
+    ----------
+    path
+        A file with one of the suffixes in `FORMATS` or `POINT_FORMATS`. An XYZ file holds a
+        point a line, its first three numbers.
+
+    Raises
+    ------
+    InputError
+        If there is no such file, or nothing of the kind in it, or it is cut short.
+    """
     path = Path(path)
-    if path.suffix.lower() not in FORMATS:
-        raise InputError(f"'{path}' is not a mesh file; expected one of {', '.join(FORMATS)}.")
+    suffix = path.suffix.lower()
+    if suffix not in FORMATS + POINT_FORMATS:
+        known = ", ".join(FORMATS + POINT_FORMATS)
+        raise InputError(f"'{path}' is not a mesh file; expected one of {known}.")
     if not path.is_file():
         raise InputError(f"There is no file '{path}'.")
+    read = {".obj": _read_obj, ".xyz": _read_xyz}.get(suffix, _read_by_trimesh)
     try:
-        mesh = _read_obj(path) if path.suffix.lower() == ".obj" else _read_by_trimesh(path)
+        return read(path)
     except OSError as error:
         raise InputError(f"'{path}' cannot be read: {error.strerror or error}.") from error
     except InputError as error:
@@ -50,7 +82,6 @@ def read_mesh(path: str | os.PathLike[str]) -> Mesh:
     except Exception as error:  # whatever a parser stumbles over is bad input
         kind = path.suffix[1:].upper()
         raise InputError(f"'{path}' cannot be read as {kind}: {error}") from error
-    return mesh
 
 
 def write_mesh(mesh: Mesh, path: str | os.PathLike[str]) -> None:
@@ -78,11 +109,16 @@ def write_mesh(mesh: Mesh, path: str | os.PathLike[str]) -> None:
         temporary.write_bytes(content if isinstance(content, bytes) else content.encode())
 
 
-def _read_by_trimesh(path: Path) -> Mesh:
+def _read_by_trimesh(path: Path) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
     import trimesh
 
     suffix = path.suffix.lower()
-    loaded = trimesh.load_mesh(path, process=False, skip_materials=True)
+    scene = trimesh.load_scene(path, process=False, skip_materials=True)
+    clouds = [g for g in scene.geometry.values() if isinstance(g, trimesh.PointCloud)]
+    if clouds and len(clouds) == len(scene.geometry):
+        points = np.concatenate([np.asarray(cloud.vertices) for cloud in clouds])
+        return points, np.zeros((0, 3), dtype=np.int64)
+    loaded = scene.to_mesh()
     vertices, faces = np.asarray(loaded.vertices), np.asarray(loaded.faces)
     if suffix == ".stl" and len(vertices):
         _, first, inverse = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
@@ -96,7 +132,7 @@ def _read_by_trimesh(path: Path) -> Mesh:
         if len(vertices) != vertex_count and len(faces):
             raise InputError(f"it announces {vertex_count} vertices, {len(vertices)} were read.")
         _tell_triangulation(path, face_count, len(faces))
-    return Mesh(vertices, faces)
+    return vertices, faces
 
 
 def _declared_counts(path: Path) -> tuple[int, int] | None:
@@ -122,7 +158,14 @@ def _tell_triangulation(path: Path, before: int, after: int) -> None:
         _log.warning("'%s': %d polygons were cut into %d triangles.", path, before, after)
 
 
-def _read_obj(path: Path) -> Mesh:
+def _read_xyz(path: Path) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+    points = np.loadtxt(path, ndmin=2, usecols=(0, 1, 2))
+    if len(points) == 0:
+        raise InputError("there are no points in it.")
+    return points, np.zeros((0, 3), dtype=np.int64)
+
+
+def _read_obj(path: Path) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
     """Read an OBJ file's positions and faces.
 
     Done here because the libraries split vertices along texture seams or drop those without a
@@ -146,7 +189,7 @@ def _read_obj(path: Path) -> Mesh:
             triangles += [(corners[0], b, c) for b, c in pairwise(corners[1:])]
     _tell_triangulation(path, face_count, len(triangles))
     faces: IntArray = np.array(triangles, dtype=np.int64).reshape(-1, 3)
-    return Mesh(vertices, faces)
+    return vertices, faces
 
 
 def _obj_index(corner: str, seen: int) -> int:
