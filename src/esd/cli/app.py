@@ -10,6 +10,7 @@ import typer
 from esd.cli.cache import cache
 from esd.cli.data import data
 from esd.cli.descriptor import descriptor
+from esd.cli.doctor import doctor
 from esd.cli.evaluate import evaluate
 from esd.cli.match import match
 from esd.cli.model import model
@@ -24,7 +25,7 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-for command in (match, train, evaluate, spectrum, descriptor, cache):
+for command in (match, train, evaluate, spectrum, descriptor, doctor, cache):
     app.command()(command)
 app.add_typer(data, name="data")
 app.add_typer(model, name="model")

@@ -21,6 +21,7 @@ from esd.mesh.mesh import (
     PointCloud,
     as_arrays,
     face_areas,
+    face_normals,
     is_referenced,
     surface_area,
 )
@@ -45,6 +46,7 @@ from esd.mesh.topology import (
 )
 
 _SLIVER = 0.02  # quality 4 √3 area / Σ side²; one for equal sides, here an angle of about a degree
+_FOLDED = 0.03  # share of the edges; up to half of that is ordinary in toes and ears
 _FAR = 1e5  # sizes of the shape away from the origin, beyond which single precision lost its form
 _LARGEST, _SMALLEST = 1e75, 1e-75  # sizes whose fourth power is still a number
 
@@ -150,8 +152,9 @@ def repair(
     source
         What `as_mesh` takes, or points without faces; what was repaired before stays as it is.
     everything
-        Whether also what may change a sound part of the shape is done: cutting sheets apart where
-        they touch, filling small holes, leaving out faces of which a vertex is missing.
+        Whether also what may change a sound part of the shape is done: cutting sheets apart along
+        edges of more than two faces, filling small holes, leaving out faces of which a vertex is
+        missing.
     all_pieces
         Whether all connected pieces are kept, and not only the one with the largest area.
 
@@ -181,8 +184,8 @@ def repair(
         first = seam_partners(mesh)
         mesh, index = replace(mesh, faces=first[mesh.faces]), np.where(finite, first, -1)
     mesh = without_repeats(mesh)
-    if everything:
-        mesh, original = cut_apart(mesh)
+    if everything or "non_manifold_vertices" in done:
+        mesh, original = cut_apart(mesh, at_edges=everything)
     mesh = turned_outward(mesh)
     if everything:
         mesh, on_rim = holes_filled(mesh, shorter_than=SMALL_HOLE)
@@ -283,7 +286,8 @@ def _examine(mesh: Mesh) -> list[Finding]:
     edge_count = int((~sides.next).sum())
     for finding in _found("non_manifold_edges", crowded, of=edge_count):
         findings.append(replace(finding, first=int(sides.start[finding.first or 0])))
-    findings += _found("non_manifold_vertices", fan_count(mesh, sides, most=None) > 1)
+    touching = _found("non_manifold_vertices", fan_count(mesh, sides) > 1)
+    findings += touching
     turned, label, one_sided = patches(mesh, sides)
     pair = np.flatnonzero(sides.next & (sides.count == 2))
     alike = sides.start[pair] == sides.start[pair + 1]
@@ -295,12 +299,25 @@ def _examine(mesh: Mesh) -> list[Finding]:
     if one_sided.any():
         share = face_areas(mesh)[one_sided[label]].sum() / max(surface_area(mesh), 1e-300)
         findings.append(Finding("one_sided_pieces", int(one_sided.sum()), float(share)))
-    inward = is_inward(with_turned(mesh, turned), sides, label)
+    mesh = with_turned(mesh, turned)
+    findings += _folded(mesh, sides, pair)
+    inward = is_inward(mesh, sides, label)
     if inward.any():
         findings.append(Finding("inside_out_pieces", int(inward.sum()), float(inward.mean())))
     findings += _holes(mesh, sides)
-    findings += _pieces(mesh)
+    findings += _pieces(cut_apart(mesh, at_edges=False)[0] if touching else mesh)
     return findings
+
+
+def _folded(mesh: Mesh, sides: Sides, pair: IntArray) -> list[Finding]:
+    """Edges, given as the first of their two sides, whose faces turn by more than a right angle."""
+    normals = face_normals(mesh)
+    f, g = sides.face[pair], sides.face[pair + 1]
+    back = np.einsum("ij,ij->i", normals[f], normals[g]) < 0
+    if back.mean() < _FOLDED if len(back) else True:
+        return []
+    vertex = int(sides.start[pair[back][0]])
+    return [Finding("folded_edges", int(back.sum()), float(back.mean()), vertex)]
 
 
 def _holes(mesh: Mesh, sides: Sides) -> list[Finding]:
@@ -308,7 +325,7 @@ def _holes(mesh: Mesh, sides: Sides) -> list[Finding]:
     if len(length) == 0:
         return []
     root = max(surface_area(mesh) ** 0.5, np.finfo(float).tiny)
-    return [Finding("holes", len(length), float(length.sum() / root), int(rim[0, 0]))]
+    return [Finding("holes", len(length), float(length.max() / root), int(rim[0, 0]))]
 
 
 def _pieces(mesh: Mesh) -> list[Finding]:

@@ -103,7 +103,7 @@ _KINDS = {
     "non_manifold_edges": _Kind(
         "edge of more than two faces",
         "edges of more than two faces",
-        0.01,
+        0.002,
         "Heat passes between sheets that only touch: a short cut, over which the descriptors of "
         "both change.",
         "the sheets are cut apart there",
@@ -111,9 +111,11 @@ _KINDS = {
     "non_manifold_vertices": _Kind(
         "vertex at which fans of faces touch",
         "vertices at which fans of faces touch",
-        0.01,
-        "A little heat passes through them between parts that only touch.",
+        0.002,
+        "Heat passes through them between parts that only touch: a short cut, even where they "
+        "are few.",
         "the fans are cut apart",
+        always=True,
     ),
     "inconsistent_winding": _Kind(
         "edge whose faces wind differently",
@@ -130,6 +132,13 @@ _KINDS = {
         "It has no normals: nothing can tell left from right on it.",
         "none is known",
     ),
+    "folded_edges": _Kind(
+        "edge folded by more than a right angle",
+        "edges folded by more than a right angle",
+        0.15,
+        "Noise folds a surface: its distances grow, and fine descriptors change.",
+        "smooth the mesh",
+    ),
     "inside_out_pieces": _Kind(
         "piece turned inside out",
         "pieces turned inside out",
@@ -141,8 +150,9 @@ _KINDS = {
     "holes": _Kind(
         "hole",
         "holes",
-        1.0,
-        "Small ones change descriptors nearby, large ones everywhere.",
+        SMALL_HOLE,
+        "Small ones change descriptors nearby. A large one may be where a part is missing, which "
+        "changes them everywhere.",
         f"those with a rim shorter than {SMALL_HOLE:g} √area are filled",
     ),
     "loose_pieces": _Kind(
@@ -182,7 +192,7 @@ class Finding:
         How many there are.
     share
         How much of the mesh it concerns: a share of its vertices, faces, edges or area. For
-        `holes` the length of all rims in units of √area.
+        `holes` the length of the longest rim in units of √area.
     first
         The first vertex, face or, of edges, vertex concerned, from 0; None where there is no one.
     """

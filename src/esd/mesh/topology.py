@@ -110,28 +110,34 @@ def without_repeats(mesh: Mesh) -> Mesh:
     return replace(mesh, faces=mesh.faces[keep])
 
 
-def _fan_labels(mesh: Mesh, sides: Sides, *, most: int | None) -> IntArray:
-    """Fan of each corner, (3 m,): corners whose faces share an edge of at most so many faces."""
-    joined = sides.next & (sides.count <= (most or len(mesh.faces) * 3))
-    here = np.flatnonzero(joined)
+def _fan_labels(mesh: Mesh, sides: Sides, *, over: BoolArray) -> IntArray:
+    """Fan of each corner, (3 m,): corners of faces that share an edge, `over` those sides."""
+    here = np.flatnonzero(over)
     i = np.concatenate([sides.low[here], sides.high[here]])
     j = np.concatenate([sides.low[here + 1], sides.high[here + 1]])
     return _labels(i, j, 3 * len(mesh.faces))
 
 
-def fan_count(mesh: Mesh, sides: Sides, *, most: int | None) -> IntArray:
-    """Number of fans of faces at each vertex, (n,)."""
-    label = _fan_labels(mesh, sides, most=most)
+def fan_count(mesh: Mesh, sides: Sides) -> IntArray:
+    """Number of fans of faces at each vertex, (n,); a sound surface has one."""
+    label = _fan_labels(mesh, sides, over=sides.next)
     _, first = np.unique(label, return_index=True)
     return np.bincount(mesh.faces.ravel()[first], minlength=len(mesh.vertices))
 
 
-def cut_apart(mesh: Mesh) -> tuple[Mesh, IntArray]:
+def cut_apart(mesh: Mesh, *, at_edges: bool) -> tuple[Mesh, IntArray]:
     """The mesh with a vertex for each fan of faces, and the original vertex of each vertex.
 
-    Fans that share no edge of just two faces are apart. That of the largest area keeps the vertex.
+    The fan of the largest area keeps the vertex.
+
+    Parameters
+    ----------
+    at_edges
+        Whether faces are cut apart at edges that more than two of them share.
     """
-    label = _fan_labels(mesh, sides_of(mesh), most=2)
+    sides = sides_of(mesh)
+    whole = sides.next & (sides.count == 2) if at_edges else sides.next
+    label = _fan_labels(mesh, sides, over=whole)
     corner = mesh.faces.ravel()
     area = np.bincount(label, weights=np.repeat(face_areas(mesh), 3))
     _, first = np.unique(label, return_index=True)
