@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import io
+import json
 import logging
 import os
+import struct
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +23,9 @@ FORMATS = (".off", ".obj", ".ply", ".stl", ".glb", ".gltf")
 
 POINT_FORMATS = (".xyz",)
 """Suffixes of the files that hold points alone; `.ply` may, too."""
+
+_LARGEST_FILE = 2**32
+_MOST_VERTICES = 5 * 10**7  # of a scene with all its instances
 
 _log = logging.getLogger(__name__)
 
@@ -72,6 +78,8 @@ def read_arrays(path: str | os.PathLike[str]) -> tuple[npt.NDArray[Any], npt.NDA
         raise InputError(f"'{path}' is not a mesh file; expected one of {known}.")
     if not path.is_file():
         raise InputError(f"There is no file '{path}'.")
+    if path.stat().st_size > _LARGEST_FILE:
+        raise InputError(f"'{path}' is larger than 4 GiB; simplify the mesh first.")
     read = {".obj": _read_obj, ".xyz": _read_xyz}.get(suffix, _read_by_trimesh)
     try:
         return read(path)
@@ -113,6 +121,8 @@ def _read_by_trimesh(path: Path) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
     import trimesh
 
     suffix = path.suffix.lower()
+    if suffix in (".glb", ".gltf"):
+        _check_scene(_scene_document(path))
     scene = trimesh.load_scene(path, process=False, skip_materials=True)
     clouds = [g for g in scene.geometry.values() if isinstance(g, trimesh.PointCloud)]
     if clouds and len(clouds) == len(scene.geometry):
@@ -131,8 +141,59 @@ def _read_by_trimesh(path: Path) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
         vertex_count, face_count = declared
         if len(vertices) != vertex_count and len(faces):
             raise InputError(f"it announces {vertex_count} vertices, {len(vertices)} were read.")
+        if len(faces) < face_count:
+            raise InputError(f"it announces {face_count} faces, {len(faces)} were read.")
         _tell_triangulation(path, face_count, len(faces))
     return vertices, faces
+
+
+def _scene_document(path: Path) -> dict[str, Any]:
+    """The JSON document of a glTF file."""
+    content = path.read_bytes()
+    if path.suffix.lower() == ".glb":
+        magic, _, announced, length, kind = struct.unpack_from("<4sIII4s", content)
+        if magic != b"glTF" or kind != b"JSON" or not 20 + length <= announced <= len(content):
+            raise InputError("it is no GLB file, or cut short.")
+        content = content[20 : 20 + length]
+    document = json.loads(content)
+    if not isinstance(document, dict):
+        raise InputError("there is no scene in it.")
+    return document
+
+
+def _check_scene(document: dict[str, Any]) -> None:
+    """Raise an `InputError` if a glTF document asks for what its size does not warrant.
+
+    The library that reads it would follow nodes that repeat each other, fill arrays of any size
+    with zeros, and open any file that is named.
+    """
+    buffers, nodes = document.get("buffers", []), document.get("nodes", [])
+    for uri in (buffer.get("uri", "data:") for buffer in buffers):
+        name = unquote(str(uri))
+        outside = (
+            ":" in name or "\\" in name or Path(name).is_absolute() or ".." in Path(name).parts
+        )
+        if not name.startswith("data:") and outside:
+            raise InputError(f"it takes data from '{name}', which is not beside it.")
+    children = [child for node in nodes for child in node.get("children", [])]
+    roots = [root for scene in document.get("scenes", []) for root in set(scene.get("nodes", []))]
+    if len(set(children)) < len(children) or set(children) & set(roots):
+        raise InputError("its nodes are no tree: one has two parents.")
+    accessors = document.get("accessors", [])
+    counts = [
+        sum(
+            int(accessors[primitive["attributes"]["POSITION"]]["count"])
+            for primitive in mesh["primitives"]
+            if "POSITION" in primitive["attributes"]
+        )
+        for mesh in document.get("meshes", [])
+    ]
+    total = sum(counts[node["mesh"]] for node in nodes if "mesh" in node)
+    largest = max((int(accessor["count"]) for accessor in accessors), default=0)
+    if max(total, largest) > _MOST_VERTICES:
+        raise InputError(
+            f"it has {max(total, largest)} vertices; expected at most {_MOST_VERTICES}."
+        )
 
 
 def _declared_counts(path: Path) -> tuple[int, int] | None:
@@ -144,6 +205,9 @@ def _declared_counts(path: Path) -> tuple[int, int] | None:
         head = file.read(65536).decode("latin-1")
     if suffix == ".ply":
         words = [line.split() for line in head.split("end_header")[0].splitlines()]
+        form = next((word[1] for word in words if len(word) > 1 and word[0] == "format"), "none")
+        if form not in ("ascii", "binary_little_endian", "binary_big_endian"):
+            raise InputError(f"its format is '{form}', which PLY does not have.")
         counts = {word[1]: int(word[2]) for word in words if word[:1] == ["element"]}
         return counts.get("vertex", 0), counts.get("face", 0)
     lines = (line.split("#")[0] for line in head.splitlines())
