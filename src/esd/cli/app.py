@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import signal
 import sys
 
 import typer
@@ -51,6 +52,8 @@ def _common(
 def main() -> None:
     """Run the command line; ends the process with 0, 1 (bad input) or 2 (wrong usage)."""
     logging.basicConfig(format="esd: %(message)s", level=logging.WARNING, stream=sys.stderr)
+    # as Ctrl-C does, so that temporary files are removed on the way out
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     try:
         app()
     except InputError as error:

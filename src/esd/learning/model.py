@@ -30,6 +30,7 @@ from esd.spectral.spectrum import Spectrum
 
 _FORMAT = 1
 _LARGEST_FILE = 2**30
+_LARGEST_CONFIG = 2**26
 _BUNDLED = Path(__file__).parent / "models"
 _ALIASES = {"default": "paper-hks"}
 
@@ -246,6 +247,8 @@ def layer_widths(model: Model) -> list[int]:
 
 
 def _read_config(path: Path) -> dict[str, Any]:
+    if path.stat().st_size > _LARGEST_CONFIG:
+        raise InputError(f"'{path}' is larger than any model of this package has.")
     try:
         config = json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, OSError, RecursionError) as error:
