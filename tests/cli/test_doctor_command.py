@@ -36,7 +36,8 @@ def test_the_doctor_tells_and_repairs(blob, tmp_path):
         target_count=len(mesh.vertices),
     ).target_index
     np.testing.assert_array_equal(np.flatnonzero(index < 0), [9, len(blob.vertices)])
-    np.testing.assert_array_equal(mesh.vertices[index[:9]], blob.vertices[:9])
+    # PLY files may hold single precision
+    np.testing.assert_allclose(mesh.vertices[index[:9]], blob.vertices[:9], atol=1e-6)
     assert "nothing wrong" in run("doctor", fixed).stdout
 
 
