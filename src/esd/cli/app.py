@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import signal
 import sys
 
 import typer
@@ -10,6 +11,7 @@ import typer
 from esd.cli.cache import cache
 from esd.cli.data import data
 from esd.cli.descriptor import descriptor
+from esd.cli.doctor import doctor
 from esd.cli.evaluate import evaluate
 from esd.cli.match import match
 from esd.cli.model import model
@@ -24,7 +26,7 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-for command in (match, train, evaluate, spectrum, descriptor, cache):
+for command in (match, train, evaluate, spectrum, descriptor, doctor, cache):
     app.command()(command)
 app.add_typer(data, name="data")
 app.add_typer(model, name="model")
@@ -50,6 +52,8 @@ def _common(
 def main() -> None:
     """Run the command line; ends the process with 0, 1 (bad input) or 2 (wrong usage)."""
     logging.basicConfig(format="esd: %(message)s", level=logging.WARNING, stream=sys.stderr)
+    # as Ctrl-C does, so that temporary files are removed on the way out
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     try:
         app()
     except InputError as error:
