@@ -62,7 +62,7 @@ def match(
     if reject:
         result = result.rejecting(loaded.threshold())
     save_map(result, output)
-    matched = result.is_matched()
+    matched, judged = result.is_matched(), result.judgement
     targets = np.unique(result.target_index[matched])
     summary = {
         "model": loaded.name,
@@ -73,6 +73,9 @@ def match(
         "mean_confidence": float(result.confidence[matched].mean()) if matched.any() else 0.0,
         "source_findings": shapes[0].in_a_line(),
         "target_findings": shapes[1].in_a_line(),
+        "verdict": judged.verdict if judged else None,
+        "expected_accuracy_5pct_diameter": judged.expected_accuracy if judged else None,
+        "orientation": judged.orientation if judged else None,
         "seconds": time.perf_counter() - start,
     }
     if as_json:

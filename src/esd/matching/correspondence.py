@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from esd.common import BoolArray, FloatArray, InputError, IntArray, whole_file
+from esd.matching.confidence import Judgement
 
 MAP_SUFFIXES = (".csv", ".npy", ".txt", ".vts")
 """Suffixes of the files that hold a map."""
@@ -27,12 +28,17 @@ class Correspondence:
     distance : (n,)
         Euclidean distance of the two descriptors; infinite for none.
     confidence : (n,)
-        Between 0 and 1: the similarity of the two descriptors, exp(−distance² / C).
+        Between 0 and 1: of maps by `match` between meshes, the probability that the match is
+        within 5 % of the target's geodesic diameter of the truth; otherwise the similarity of the
+        two descriptors, exp(−distance² / C).
+    judgement
+        Of the map as a whole, where it was judged.
     """
 
     target_index: IntArray
     distance: FloatArray
     confidence: FloatArray
+    judgement: Judgement | None = None
 
     def rejecting(self, squared_distance: float) -> Correspondence:
         """The map without the matches whose squared distance is larger."""
