@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from esd.mesh.files import write_mesh as write_mesh
     from esd.mesh.mesh import Mesh as Mesh
     from esd.mesh.mesh import as_mesh as as_mesh
+    from esd.mesh.mesh import with_attributes as with_attributes
+    from esd.viewing.page import view as view
 
 __version__ = "0.1.0.dev0"
 
@@ -38,6 +40,8 @@ _HOMES = {
     "open_collection": "esd.datasets.open",
     "read_mesh": "esd.mesh.files",
     "save_map": "esd.matching.correspondence",
+    "view": "esd.viewing.page",
+    "with_attributes": "esd.mesh.mesh",
     "write_mesh": "esd.mesh.files",
 }
 

@@ -7,14 +7,23 @@ from typing import Annotated
 
 import typer
 
+from esd.cli.output import ForceOption, free_path, tell
+
 
 def descriptor(
     mesh: Annotated[Path, typer.Argument(help="A mesh file.")],
     output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="FILE", help="Ends in .npy, .npz or .csv.")
-    ],
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FILE",
+            help="Ends in .npy, .npz, .h5 or .csv; by default MESH-KIND.npz.",
+        ),
+    ] = None,
     kind: Annotated[str, typer.Option(help="hks, wks, gps or sihks.")] = "hks",
     log: Annotated[bool, typer.Option(help="Take the logarithm.")] = False,
+    force: ForceOption = False,
 ) -> None:
     """Write a spectral descriptor of each vertex of MESH, one row a vertex, for unit area."""
     from esd.descriptors.files import check_descriptor_path, save_descriptor
@@ -22,7 +31,7 @@ def descriptor(
     from esd.mesh.mesh import as_mesh
     from esd.spectral.cache import default_cache
 
-    check_descriptor_path(output)
+    path = free_path(check_descriptor_path(output or Path(f"{mesh.stem}-{kind}.npz")), force=force)
     values = descriptors(single_recipe(kind, log=log), as_mesh(mesh), cache=default_cache())
-    save_descriptor(values, output)
-    typer.echo(f"{kind}: {values.shape[0]} vertices, {values.shape[1]} components; {output}")
+    save_descriptor(values, path)
+    tell(f"{kind}: {values.shape[0]} vertices, {values.shape[1]} components; {path}")

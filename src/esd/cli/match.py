@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+from esd.cli.output import ForceOption, free_path, tell
+
 ModelOption = Annotated[
     str,
     typer.Option(
@@ -20,9 +22,14 @@ def match(
     source: Annotated[Path, typer.Argument(help="Mesh whose vertices are mapped.")],
     target: Annotated[Path, typer.Argument(help="Mesh that they are mapped to.")],
     output: Annotated[
-        Path,
-        typer.Option("--output", "-o", metavar="MAP", help="Ends in .csv, .npy, .txt or .vts."),
-    ],
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="MAP",
+            help="Ends in .csv, .npy, .txt or .vts; by default SOURCE-TARGET.csv.",
+        ),
+    ] = None,
     model: ModelOption = "default",
     refine: Annotated[
         bool,
@@ -33,7 +40,12 @@ def match(
     reject: Annotated[
         bool, typer.Option("--reject", help="Drop matches beyond the model's threshold, C / 2.")
     ] = False,
+    view: Annotated[
+        bool,
+        typer.Option("--view", help="Also write a page that shows the map, and open it."),
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print a summary as JSON.")] = False,
+    force: ForceOption = False,
 ) -> None:
     """Map each vertex of SOURCE to its vertex of TARGET."""
     import time
@@ -46,13 +58,18 @@ def match(
     from esd.mesh.mesh import as_mesh
 
     start = time.perf_counter()
-    check_map_path(output)
+    path = free_path(
+        check_map_path(output or Path(f"{source.stem}-{target.stem}.csv")), force=force
+    )
+    page = path.with_suffix(".html")
+    if view:
+        free_path(page, force=force)
     loaded = load_model(model)
     source_mesh, target_mesh = as_mesh(source), as_mesh(target)
     result = match_meshes(source_mesh, target_mesh, model=loaded, refine=refine)
     if reject:
         result = result.rejecting(loaded.threshold())
-    save_map(result, output)
+    save_map(result, path)
     matched = result.is_matched()
     targets = np.unique(result.target_index[matched])
     summary = {
@@ -67,7 +84,12 @@ def match(
     if as_json:
         typer.echo(json.dumps(summary))
     else:
-        typer.echo(
+        tell(
             f"{summary['matched']} of {summary['source_vertices']} vertices matched, covering "
-            f"{summary['coverage']:.0%} of the target; written to {output}"
+            f"{summary['coverage']:.0%} of the target; written to {path}"
         )
+    if view:
+        from esd.cli.view import write_page
+
+        write_page((source, source_mesh), (target, target_mesh), result, page)
+        typer.launch(str(page.resolve()))

@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+from esd.cli.output import ForceOption, free_path, tell
+
 
 class Operator(str, Enum):
     """Names of the Laplacians."""
@@ -18,11 +20,17 @@ class Operator(str, Enum):
 
 def spectrum(
     mesh: Annotated[Path, typer.Argument(help="A mesh file.")],
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="Ends in .npz.")],
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output", "-o", metavar="FILE", help="Ends in .npz; by default MESH-spectrum.npz."
+        ),
+    ] = None,
     k: Annotated[int, typer.Option("-k", help="Number of eigenpairs.")] = 300,
     laplacian: Annotated[
         Operator, typer.Option(help="Cotangent, or robust for meshes with slivers.")
     ] = Operator.cotangent,
+    force: ForceOption = False,
 ) -> None:
     """Write the smallest Laplace-Beltrami eigenpairs of MESH, for unit surface area."""
     from esd.mesh.mesh import as_mesh
@@ -30,8 +38,8 @@ def spectrum(
     from esd.spectral.spectrum import check_spectrum_path, save_spectrum
     from esd.spectral.spectrum import spectrum as compute
 
-    check_spectrum_path(output)
+    path = free_path(check_spectrum_path(output or Path(f"{mesh.stem}-spectrum.npz")), force=force)
     pairs = compute(as_mesh(mesh), k, kind=laplacian.value, cache=default_cache())
-    save_spectrum(pairs, output)
+    save_spectrum(pairs, path)
     values = pairs.eigenvalues
-    typer.echo(f"{len(values)} eigenvalues from {values[0]:g} to {values[-1]:g}; {output}")
+    tell(f"{len(values)} eigenvalues from {values[0]:g} to {values[-1]:g}; {path}")

@@ -50,6 +50,7 @@ class Cache:
             with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
                 arrays = dict(archive)
             os.utime(path)
+            _log.info("Found in the cache: %s", path)
         except FileNotFoundError:
             return None
         except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:

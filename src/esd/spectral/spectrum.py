@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 import os
+import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,6 +15,8 @@ from esd.mesh.mesh import Mesh, components, is_referenced, surface_area
 from esd.spectral.cache import Arrays, Cache, content_key
 from esd.spectral.eigensolver import eigenpairs
 from esd.spectral.laplacian import LaplacianKind, laplacian
+
+_log = logging.getLogger(__name__)
 
 _SOLVER_VERSION = 2  # part of the cache's keys; raised when the eigenpairs may change
 
@@ -115,7 +119,10 @@ def spectrum(
             raise InputError("The mesh has no area: all its faces are degenerate.")
         matrix, mass = laplacian(mesh, kind=kind)
         area = mass.sum()
+        start = time.perf_counter()
         solution = eigenpairs(matrix[referenced][:, referenced], mass[referenced] / area, k)
+        seconds = time.perf_counter() - start
+        _log.info("%d eigenpairs of %d vertices were computed in %.1f s.", k, size, seconds)
         eigenvectors = np.zeros((len(mesh.vertices), k))
         eigenvectors[referenced] = solution.eigenvectors
         eigenvalues = solution.eigenvalues.copy()
@@ -129,10 +136,12 @@ def spectrum(
     return Spectrum(**cache.computed(key, compute), zero_modes=zero_modes)
 
 
-def check_spectrum_path(path: str | os.PathLike[str]) -> None:
-    """Raise an `InputError` unless a spectrum can be written to a path of such a name."""
-    if Path(path).suffix.lower() != ".npz":
+def check_spectrum_path(path: str | os.PathLike[str]) -> Path:
+    """The path, if a spectrum can be written to it; raises an `InputError` otherwise."""
+    path = Path(path)
+    if path.suffix.lower() != ".npz":
         raise InputError(f"'{path}': spectra are written as .npz files.")
+    return path
 
 
 def save_spectrum(result: Spectrum, path: str | os.PathLike[str]) -> None:
@@ -143,7 +152,7 @@ def save_spectrum(result: Spectrum, path: str | os.PathLike[str]) -> None:
     InputError
         If the suffix is another, or the file cannot be written.
     """
-    check_spectrum_path(path)
+    path = check_spectrum_path(path)
     with whole_file(path) as temporary, temporary.open("wb") as file:
         np.savez(
             file,

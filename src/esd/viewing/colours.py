@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from esd.common import FloatArray
+from esd.common import FloatArray, IntArray
 from esd.mesh.mesh import Mesh
 
 UNMATCHED = (0.62, 0.62, 0.62)
 """Red, green and blue of a vertex without a match, or without a value."""
 
-VIRIDIS = ("440154", "482475", "414487", "355f8d", "2a788e", "21918c") + (
-    "22a884", "44bf70", "7ad151", "bddf26", "fde725",
-)  # fmt: skip
+VIRIDIS = (
+    *("440154", "482475", "414487", "355f8d", "2a788e", "21918c"),
+    *("22a884", "44bf70", "7ad151", "bddf26", "fde725"),
+)
 """Equally spaced colours of matplotlib's viridis, whose lightness rises evenly."""
 
 
@@ -55,7 +56,7 @@ def oklab_to_rgb(lightness: FloatArray, a: FloatArray, b: FloatArray) -> FloatAr
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
 
 
-def carried_colours(colours: FloatArray, target_index: np.ndarray) -> FloatArray:
+def carried_colours(colours: FloatArray, target_index: IntArray) -> FloatArray:
     """The colours (m, 3) of a target's vertices brought to a source by a map, (n, 3)."""
     matched = target_index >= 0
     return np.where(matched[:, None], colours[np.maximum(target_index, 0)], UNMATCHED)

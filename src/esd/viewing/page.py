@@ -149,8 +149,9 @@ def _of_unit_area(mesh: Mesh) -> Mesh:
 
 
 def _spread_matches(source: Mesh, match: Correspondence) -> IntArray:
-    """Matched source vertices such that the first few lie far apart, each the farthest from those
-    before it by Euclidean distance; at most 300.
+    """At most 300 matched source vertices, the first of which lie far apart.
+
+    Each is the farthest from those before it, by Euclidean distance.
     """
     matched = np.flatnonzero(match.is_matched() & is_referenced(source))
     points = source.vertices[matched]

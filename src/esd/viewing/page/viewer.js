@@ -125,7 +125,7 @@
     marksCanvas.height = height * ratio;
     marks.setTransform(ratio, 0, 0, ratio, 0, 0);
     const below = element("controls").offsetHeight + 20;
-    const free = height - below;
+    const free = height - below - (width < 640 ? 60 : 0); // on phones the readout needs a place
     element("readout").style.bottom = below + "px";
     if (width >= free) {
       source.box = { x: 0, y: 0, width: width / 2, height: free };
