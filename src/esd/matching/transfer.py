@@ -54,18 +54,15 @@ def vertex_places(
         If the map does not fit the meshes, or has no match.
     """
     vertices = np.arange(len(target.vertices))
-    return _places(source, target, match, target.vertices, vertices, method)
+    return _places(source, target, match, target.vertices, vertices[:, None], method)
 
 
 def face_places(
     source: Mesh, target: Mesh, match: Correspondence, *, method: Method = "barycentric"
 ) -> Places:
     """The place on the source of the middle of each face of the target; see `vertex_places`."""
-    corners = target.vertices[target.faces]
-    middle = corners.mean(axis=1)
-    closest = np.linalg.norm(corners - middle[:, None], axis=2).argmin(axis=1)
-    near = np.take_along_axis(target.faces, closest[:, None], axis=1)[:, 0]
-    return _places(source, target, match, middle, near, method)
+    middle = target.vertices[target.faces].mean(axis=1)
+    return _places(source, target, match, middle, target.faces, method)
 
 
 def carried_values(values: FloatArray, source: Mesh, places: Places) -> FloatArray:
@@ -220,27 +217,30 @@ def _places(
     near: IntArray,
     method: Method,
 ) -> Places:
-    """Places of points of the target (p, 3), each near one of its vertices (p,)."""
+    """Places of points of the target (p, 3), each near some of its vertices (p, c)."""
     _check_fit(source, target, match)
     usable = np.flatnonzero(match.is_matched() & is_referenced(source))
     if len(usable) == 0:
         raise InputError("No face of the source has a match.")
     usable = usable[np.lexsort((match.distance[usable], match.target_index[usable]))]
     hit, first = np.unique(match.target_index[usable], return_index=True)
-    nearest_hit = geodesic_graph(target).nearest_source(hit)[near]
+    hits = geodesic_graph(target).nearest_source(hit)[near]
+    reach = np.linalg.norm(points[:, None] - target.vertices[hits], axis=2)
+    reach[hits < 0] = np.inf
+    closest = reach.argmin(axis=1)[:, None]
     speaker = np.full(len(target.vertices) + 1, -1)  # one more, which stands for none
     speaker[hit] = usable[first]
-    places = _at_vertices(source, speaker[nearest_hit])
+    places = _at_vertices(source, speaker[np.take_along_axis(hits, closest, axis=1)[:, 0]])
     if method == "nearest":
         return places
 
     image = match.target_index[source.faces]
     touching = _faces_at_images(source, target, image)
-    best = np.linalg.norm(points - target.vertices[nearest_hit], axis=1)
+    best = np.take_along_axis(reach, closest, axis=1)[:, 0]
     for start in range(0, len(points), _CHUNK):
-        chunk = start + np.flatnonzero(nearest_hit[start : start + _CHUNK] >= 0)
-        rows = touching[nearest_hit[chunk]]
-        which = np.repeat(chunk, np.diff(rows.indptr))
+        chunk, column = np.nonzero(hits[start : start + _CHUNK] >= 0)
+        rows = touching[hits[start + chunk, column]]
+        which = np.repeat(start + chunk, np.diff(rows.indptr))
         triangles = target.vertices[image[rows.indices]]
         closest = trimesh_triangles.closest_point(triangles, points[which])
         distance = np.linalg.norm(closest - points[which], axis=1)
