@@ -8,8 +8,6 @@
   const { map, confidence, error, image, line_order: lineOrder } = arrays;
   const grey = meta.unmatched;
   const viewCanvas = element("view");
-  const marksCanvas = element("marks");
-  const marks = marksCanvas.getContext("2d");
 
   let renderer;
   try {
@@ -121,9 +119,6 @@
     const ratio = Math.min(window.devicePixelRatio, 2);
     renderer.setPixelRatio(ratio);
     renderer.setSize(width, height, false);
-    marksCanvas.width = width * ratio;
-    marksCanvas.height = height * ratio;
-    marks.setTransform(ratio, 0, 0, ratio, 0, 0);
     const below = element("controls").offsetHeight + 20;
     const free = height - below - (width < 640 ? 60 : 0); // on phones the readout needs a place
     element("readout").style.bottom = below + "px";
@@ -204,48 +199,33 @@
   }
 
   function drawMarks() {
-    marks.clearRect(0, 0, window.innerWidth, window.innerHeight);
-    const ink = getComputedStyle(document.body).color;
+    const parts = [];
     const colours = source.geometry.attributes.color;
-    marks.lineWidth = 1.2;
     for (let k = 0; k < state.lines; k++) {
       const i = lineOrder[k];
       if (!facesViewer(source, i)) continue;
       const rgb = [colours.getX(i), colours.getY(i), colours.getZ(i)].map((c) => Math.round(255 * c));
-      stroke(screen(source, vertexAt(source, i)), screen(target, vertexAt(target, map[i])), `rgb(${rgb})`, 0.75);
+      parts.push(line(i, map[i], `rgb(${rgb})`));
     }
-    if (!state.picked) return;
-    const { sources, targets } = state.picked;
-    if (sources.length && targets.length) {
-      const to = screen(target, vertexAt(target, targets[0]));
-      for (const i of sources.slice(0, 20)) stroke(screen(source, vertexAt(source, i)), to, ink, 0.8);
+    if (state.picked) {
+      const sources = state.picked.sources.slice(0, 20);
+      const targets = state.picked.targets;
+      if (targets.length) parts.push(...sources.map((i) => line(i, targets[0], "currentColor")));
+      parts.push(...sources.map((i) => dot(source, i)), ...targets.map((i) => dot(target, i)));
     }
-    for (const i of sources.slice(0, 20)) dot(source, i, ink);
-    for (const i of targets) dot(target, i, ink);
+    element("marks").innerHTML = parts.join("");
   }
 
-  function stroke(from, to, style, alpha) {
-    marks.globalAlpha = alpha;
-    marks.strokeStyle = style;
-    marks.beginPath();
-    marks.moveTo(...from);
-    marks.lineTo(...to);
-    marks.stroke();
-    marks.globalAlpha = 1;
+  function line(from, to, colour) {
+    const [x1, y1] = screen(source, vertexAt(source, from));
+    const [x2, y2] = screen(target, vertexAt(target, to));
+    return `<line x1="${x1}" y1="${y1}" x2="${x2}" y2="${y2}" stroke="${colour}"/>`;
   }
 
   // A full dot where the point is seen, a ring where something is before it.
-  function dot(shape, i, ink) {
+  function dot(shape, i) {
     const [x, y] = screen(shape, vertexAt(shape, i));
-    marks.beginPath();
-    marks.arc(x, y, 6, 0, 2 * Math.PI);
-    marks.lineWidth = 2;
-    marks.strokeStyle = ink;
-    if (!isHidden(shape, i)) {
-      marks.fillStyle = "#ff8c00";
-      marks.fill();
-    }
-    marks.stroke();
+    return `<circle cx="${x}" cy="${y}" r="6" fill="${isHidden(shape, i) ? "none" : "#ff8c00"}"/>`;
   }
 
   // Pointing
@@ -405,6 +385,9 @@
   });
   element("controls").addEventListener("submit", (event) => event.preventDefault());
   element("modes").addEventListener("change", (event) => setMode(event.target.value));
+  element("modes").addEventListener("click", (event) => {
+    if (event.detail) viewCanvas.focus(); // after a press of the mouse arrows turn the shapes again
+  });
   element("lines").addEventListener("input", (event) => setLines(Number(event.target.value)));
   element("morph").addEventListener("input", (event) => setMorph(Number(event.target.value) / 100));
   element("reset").addEventListener("click", keys.r);
