@@ -1,7 +1,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test check clean
+.PHONY: demo test check docs clean
 
 demo: .venv/demo
 	$(BIN)/python examples/demo.py
@@ -15,6 +15,9 @@ check: .venv/dev
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
+docs: .venv/dev
+	$(BIN)/mkdocs build --strict
+
 .venv/demo: pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
 	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[viz]'
@@ -26,4 +29,4 @@ check: .venv/dev
 	touch $@
 
 clean:
-	rm -rf .venv demo dist
+	rm -rf .venv demo dist site
