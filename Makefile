@@ -29,4 +29,4 @@ docs: .venv/dev
 	touch $@
 
 clean:
-	rm -rf .venv demo dist site
+	rm -rf .venv demo dist site docs/pictures

@@ -11,7 +11,7 @@
 
   let renderer;
   try {
-    renderer = new THREE.WebGLRenderer({ canvas: viewCanvas, antialias: true, alpha: true });
+    renderer = new THREE.WebGLRenderer({ canvas: viewCanvas, antialias: true });
   } catch {
     document.body.innerHTML = '<p id="failure">This page needs WebGL 2, which this browser does not offer or has switched off.</p>';
     return;
@@ -158,6 +158,7 @@
   function render() {
     frame = 0;
     renderer.setScissorTest(false);
+    renderer.setClearColor(getComputedStyle(document.body).backgroundColor);
     renderer.clear();
     renderer.setScissorTest(true);
     const height = window.innerHeight;
@@ -394,6 +395,7 @@
   element("theme").addEventListener("click", toggleTheme);
   element("help-button").addEventListener("click", keys["?"]);
   window.addEventListener("resize", resize);
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", draw);
 
   element("lines").max = lineOrder.length;
   for (const [mode, values] of [["confidence", confidence], ["error", error]]) {
