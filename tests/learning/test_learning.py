@@ -7,14 +7,14 @@ import pytest
 from esd.common import InputError
 from esd.datasets.collection import Collection, Shape
 from esd.descriptors.recipe import Descriptor, Recipe, single_recipe
-from esd.learning.losses import contrastive_loss, pair_criteria
+from esd.learning.losses import contrastive_loss, infonce_loss, pair_criteria
 from esd.learning.model import Layer, Model, load_model, raw_model, save_model
-from esd.learning.pairs import draw_pairs, point_table, standardisation
+from esd.learning.pairs import draw_matches, draw_pairs, point_table, standardisation
 from esd.learning.presets import PRESETS, Training, preset
 from esd.mesh.mesh import Mesh
 
 torch = pytest.importorskip("torch", reason="training needs the extra `train`")
-from esd.learning.train import embedded_criteria, train  # noqa: E402
+from esd.learning.train import embedded_criteria, learning_rate, train  # noqa: E402
 
 TRAINING = Training(
     Recipe((Descriptor("hks", 12),), eigenpairs=20), hidden=(10,), outputs=4, steps=1500, batch=64
@@ -68,6 +68,64 @@ def test_loss_is_the_paper_s():
     assert criteria.false_match_rate == 0.25
     assert criteria.error_rate == 0.75
     assert criteria.loss_mean == pytest.approx(criteria.loss_sum / 6)
+
+
+def test_infonce_is_the_cross_entropy_of_finding_the_match():
+    generator = torch.Generator().manual_seed(0)
+    source, target = (
+        torch.nn.functional.normalize(torch.randn(7, 4, generator=generator), dim=1)
+        for _ in range(2)
+    )
+    truth = torch.arange(7)
+    both = [
+        torch.nn.functional.cross_entropy(a @ b.T / 0.1, truth, reduction="none")
+        for a, b in ((source, target), (target, source))
+    ]
+    found = infonce_loss(source, target, temperature=0.1)
+    torch.testing.assert_close(found, sum(both) / 2)
+
+
+def test_matches_are_drawn_without_repetition(collection):
+    table = point_table(collection, TRAINING.recipe)
+    size = len(collection.shapes[0].mesh().vertices)
+    batch = draw_matches(table, np.random.default_rng(0), count=10**6)
+    assert sorted(batch.source % size) == [i for i in range(size) if i != 7]
+    np.testing.assert_array_equal(batch.source % size, batch.target % size)
+    assert batch.source[0] // size != batch.target[0] // size
+
+
+def test_a_table_of_some_points_has_the_same_points_of_all_shapes(collection):
+    whole = point_table(collection, TRAINING.recipe)
+    some = point_table(collection, TRAINING.recipe, points=40)
+    assert len(some.values) <= 40 * len(collection.shapes)
+    index = np.array([np.flatnonzero((whole.values == row).all(axis=1))[0] for row in some.values])
+    size = len(collection.shapes[0].mesh().vertices)
+    points = {tuple(sorted(index[rows[rows >= 0]] % size)) for rows in some.rows}
+    assert len(points) == 1
+    assert 39 <= len(*points) <= 40  # one point of the template is on no shape
+
+
+def test_infonce_trains_an_embedding_of_unit_length(collection):
+    training = replace(
+        TRAINING, loss="infonce", schedule="cosine", learning_rate=5e-3, limit=4.0, remeshings=1
+    )
+    losses = []
+    model = train(
+        collection,
+        replace(training, steps=1000),
+        validation=collection,
+        on_progress=lambda p: losses.append(p.validation_loss),
+    )
+    assert losses[-1] < losses[0]
+    embedded = model.embed_mesh(collection.shapes[0].mesh())
+    np.testing.assert_allclose(np.linalg.norm(embedded, axis=1), 1)
+    assert model.margin is None
+    far = model.mean + 100 * model.deviation
+    np.testing.assert_allclose(
+        model.embed(far[None]), model.embed(model.mean[None] + 4 * model.deviation), rtol=1e-9
+    )
+    assert learning_rate(training, 0) == 5e-3
+    assert learning_rate(training, training.steps) == pytest.approx(5e-3 / 20)
 
 
 def test_training_separates_pairs_and_embeds_without_torch(collection):
@@ -154,7 +212,8 @@ def test_impossible_trainings_are_refused(collection):
 
 
 def test_presets_have_the_paper_s_layers():
-    assert {name: (t.recipe.width, *t.hidden, t.outputs) for name, t in PRESETS.items()} == {
+    paper = {name: t for name, t in PRESETS.items() if name.startswith("paper")}
+    assert {name: (t.recipe.width, *t.hidden, t.outputs) for name, t in paper.items()} == {
         "paper-hks": (100, 78, 32, 15),
         "paper-wks": (100, 78, 32, 15),
         "paper-gps": (25, 20, 18, 15),
@@ -168,7 +227,9 @@ def model():
         generator.standard_normal((15, 25)).astype(np.float32),
         generator.standard_normal(15).astype(np.float32),
     )
-    return Model("m", single_recipe("gps"), np.zeros(25), np.ones(25), (layer,), 5.0, {"data": "x"})
+    return Model(
+        "m", single_recipe("gps"), np.zeros(25), np.ones(25), (layer,), 5.0, card={"data": "x"}
+    )
 
 
 def test_models_come_back_as_they_were_saved(model, tmp_path):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import cache
 from importlib import resources
 
 import numpy as np
@@ -11,9 +11,9 @@ import numpy as np
 from esd.common import IntArray
 from esd.datasets.body_pack import Pack, posed, read_pack
 from esd.datasets.collection import Collection, Shape
+from esd.datasets.remeshing import remeshed_shape
 from esd.mesh.mesh import Mesh
-from esd.mesh.remesh import Style, remesh
-from esd.spectral.cache import Arrays, content_key, default_cache
+from esd.mesh.remesh import Style
 
 TRAINING_SUBJECTS = tuple(f"s{number:02d}" for number in range(10))
 TESTING_SUBJECTS = tuple(f"s{number:02d}" for number in range(10, 14))
@@ -61,21 +61,19 @@ def bodies(
     shapes = []
     for subject, name in enumerate(TRAINING_SUBJECTS + TESTING_SUBJECTS):
         for pose in range(POSE_COUNT):
-            body = (
-                _RemeshedBody(subject, pose, vertex_count, style, seed)
-                if remeshed
-                else _RegisteredBody(subject, pose)
+            body = _Body(subject, pose)
+            shape = Shape(
+                name=f"{name}_p{pose:02d}",
+                subject=name,
+                template="body",
+                mesh=body.mesh,
+                correspondence=body.points,
+                symmetric=mirrored_points,
             )
-            shapes.append(
-                Shape(
-                    name=f"{name}_p{pose:02d}",
-                    subject=name,
-                    template="body",
-                    mesh=body.mesh,
-                    correspondence=body.points,
-                    symmetric=body.mirrored,
-                )
-            )
+            if remeshed:
+                own = int(np.random.SeedSequence([seed, subject, pose]).generate_state(1)[0])
+                shape = remeshed_shape(shape, vertex_count=vertex_count, style=style, seed=own)
+            shapes.append(shape)
     return Collection("bodies", tuple(shapes), TESTING_SUBJECTS)
 
 
@@ -96,7 +94,7 @@ def _pack() -> Pack:
 
 
 @dataclass(frozen=True, slots=True)
-class _RegisteredBody:
+class _Body:
     """One body with the triangles of the template."""
 
     subject: int
@@ -108,46 +106,3 @@ class _RegisteredBody:
 
     def points(self) -> IntArray:
         return np.arange(len(_pack().mirror))
-
-    def mirrored(self) -> IntArray:
-        return _pack().mirror
-
-
-@dataclass(frozen=True, slots=True)
-class _RemeshedBody:
-    """One body with triangles of its own."""
-
-    subject: int
-    pose: int
-    vertex_count: int
-    style: str | Style
-    seed: int
-
-    def mesh(self) -> Mesh:
-        return _remeshed(self)[0]
-
-    def points(self) -> IntArray:
-        return _remeshed(self)[1].copy()
-
-    def mirrored(self) -> IntArray:
-        return _remeshed(self)[1][_pack().mirror]
-
-
-@lru_cache(maxsize=4)  # mesh and correspondences are asked for one after the other
-def _remeshed(body: _RemeshedBody) -> tuple[Mesh, IntArray]:
-    """The remeshed body, and its vertex at each point of the template, from the user's cache."""
-    registered = _RegisteredBody(body.subject, body.pose).mesh()
-    seed = np.random.SeedSequence([body.seed, body.subject, body.pose]).generate_state(1)[0]
-
-    def compute() -> Arrays:
-        made = remesh(registered, body.vertex_count, style=body.style, seed=int(seed))
-        return {"vertices": made.mesh.vertices, "faces": made.mesh.faces, "nearest": made.nearest}
-
-    store = default_cache()
-    if store is None:
-        made = compute()
-    else:
-        parameters = {"count": body.vertex_count, "style": str(body.style), "seed": int(seed)}
-        key = content_key("remeshed", registered.vertices, registered.faces, **parameters)
-        made = store.computed(key, compute)
-    return Mesh(made["vertices"], made["faces"]), made["nearest"]

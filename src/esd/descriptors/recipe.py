@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
 
 from esd.common import FloatArray, InputError
+from esd.descriptors.chirality import Parity, gradient_products, neighbour_pairs
 from esd.descriptors.gps import gps
 from esd.descriptors.hks import hks
 from esd.descriptors.sihks import sihks
@@ -19,10 +20,11 @@ from esd.spectral.laplacian import LaplacianKind
 from esd.spectral.spectrum import Spectrum, spectrum
 
 _DESCRIPTORS = {"gps": gps, "hks": hks, "wks": wks, "sihks": sihks}
+_PRODUCTS: dict[str, Parity] = {"chirality": "odd", "alignment": "even"}
 _WIDTHS = {"gps": 25, "hks": 100, "wks": 100, "sihks": 19}
 
 DESCRIPTOR_KINDS = tuple(_DESCRIPTORS)
-"""Names of the descriptors that have a value at each vertex."""
+"""Names of the descriptors that have a value at each vertex and stand for themselves."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,13 +34,17 @@ class Descriptor:
     Parameters
     ----------
     kind
-        One of `DESCRIPTOR_KINDS`.
+        One of `DESCRIPTOR_KINDS`, or one of the `gradient_products`: `chirality` (odd) or
+        `alignment` (even).
     count
         Number of its components.
     log
         Whether its logarithm is taken; for positive descriptors.
     options
-        Further keyword arguments of the descriptor's function, such as `variant`.
+        Further keyword arguments of the descriptor's function, such as `variant`. Gradient products
+        have instead: `of`, the kind of the descriptor whose logarithm they are taken of;
+        `columns`, which of its components; `reach`, with how many of those after it each of these
+        is multiplied; and `times`.
     """
 
     kind: str
@@ -47,11 +53,11 @@ class Descriptor:
     options: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if self.kind not in _DESCRIPTORS:
-            known = ", ".join(DESCRIPTOR_KINDS)
+        if self.kind not in (*_DESCRIPTORS, *_PRODUCTS):
+            known = ", ".join((*_DESCRIPTORS, *_PRODUCTS))
             raise InputError(f"There is no descriptor '{self.kind}'; expected one of {known}.")
-        if self.log and self.kind == "gps":
-            raise InputError("GPS has negative components: it has no logarithm.")
+        if self.log and self.kind in ("gps", *_PRODUCTS):
+            raise InputError(f"'{self.kind}' has negative components: it has no logarithm.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,6 +117,15 @@ def single_recipe(kind: str, *, log: bool = False) -> Recipe:
     return Recipe((Descriptor(kind, _WIDTHS.get(kind, 0), log=log),))
 
 
+def gradient_recipe(
+    kind: str, of: str, *, columns: Sequence[int], reach: int, times: Sequence[float]
+) -> Descriptor:
+    """The `chirality` or `alignment` of the logarithm of a descriptor, as part of a recipe."""
+    count = len(neighbour_pairs(len(columns), reach=reach)) * len(times)
+    options = {"of": of, "columns": list(columns), "reach": reach, "times": list(times)}
+    return Descriptor(kind, count, options=options)
+
+
 def descriptors(recipe: Recipe, mesh: Mesh, *, cache: Cache | None = None) -> FloatArray:
     """Values of a recipe's descriptors, (n, recipe.width); NaN at vertices without a face.
 
@@ -124,7 +139,7 @@ def descriptors(recipe: Recipe, mesh: Mesh, *, cache: Cache | None = None) -> Fl
     InputError
         If the mesh has too few vertices for the recipe.
     """
-    return spectrum_descriptors(recipe, recipe_spectrum(recipe, mesh, cache=cache))
+    return spectrum_descriptors(recipe, mesh, recipe_spectrum(recipe, mesh, cache=cache))
 
 
 def recipe_spectrum(recipe: Recipe, mesh: Mesh, *, cache: Cache | None = None) -> Spectrum:
@@ -133,15 +148,36 @@ def recipe_spectrum(recipe: Recipe, mesh: Mesh, *, cache: Cache | None = None) -
     return pairs if recipe.unit_area else pairs.with_area(surface_area(mesh))
 
 
-def spectrum_descriptors(recipe: Recipe, pairs: Spectrum) -> FloatArray:
-    """Values of a recipe's descriptors from a spectrum, (n, recipe.width)."""
-    columns = [_values(part, pairs) for part in recipe.descriptors]
+def spectrum_descriptors(recipe: Recipe, mesh: Mesh, pairs: Spectrum) -> FloatArray:
+    """Values of a recipe's descriptors from the `recipe_spectrum` of a mesh, (n, recipe.width).
+
+    Raises
+    ------
+    InputError
+        If the recipe has chirality, and the mesh no outside.
+    """
+    columns = [_values(part, mesh, pairs) for part in recipe.descriptors]
     values = np.concatenate(columns, axis=1)
     values[pairs.mass == 0] = np.nan
     return values
 
 
-def _values(part: Descriptor, pairs: Spectrum) -> FloatArray:
+def _values(part: Descriptor, mesh: Mesh, pairs: Spectrum) -> FloatArray:
+    if part.kind in _PRODUCTS:
+        return _gradient_values(part, mesh, pairs)
     compute: Any = _DESCRIPTORS[part.kind]
     values: FloatArray = compute(pairs, count=part.count, **part.options)
     return np.log(np.maximum(values, np.finfo(float).tiny)) if part.log else values
+
+
+def _gradient_values(part: Descriptor, mesh: Mesh, pairs: Spectrum) -> FloatArray:
+    of, columns = part.options["of"], part.options["columns"]
+    base = _values(Descriptor(of, _WIDTHS[of], log=True), mesh, pairs)[:, columns]
+    return gradient_products(
+        mesh,
+        pairs,
+        base,
+        pairs=neighbour_pairs(len(columns), reach=part.options["reach"]),
+        times=np.asarray(part.options["times"]),
+        parity=_PRODUCTS[part.kind],
+    )

@@ -170,9 +170,10 @@ def _embedded(model: Model, shape: Shape, cache: Cache | None) -> _Embedded:
             check_correspondence(shape, truth, mesh)
     try:
         pairs = recipe_spectrum(model.recipe, mesh, cache=cache)
+        values = model.embed_spectrum(mesh, pairs)
     except InputError as error:
         raise InputError(f"'{shape.name}': {error}") from error
-    return _Embedded(shape.name, mesh, pairs, model.embed_spectrum(pairs), index, symmetric)
+    return _Embedded(shape.name, mesh, pairs, values, index, symmetric)
 
 
 def _errors_on_target(

@@ -27,6 +27,29 @@ def contrastive_loss(squared_distance: Any, label: Any, *, margin: float) -> Any
     return label * squared_distance + (1 - label) * (margin - squared_distance).clip(min=0)
 
 
+def infonce_loss(source: Any, target: Any, *, temperature: float) -> Any:
+    """Loss of each of b corresponding pairs, (b,): log Σₖ exp(sᵢ·tₖ / τ) − sᵢ·tᵢ / τ, both ways.
+
+    The cross-entropy of finding the match of a point among all points of the batch, the mean of
+    finding the target's and finding the source's.
+
+    Parameters
+    ----------
+    source, target : (b, d) tensors
+        Embedded points, rows of unit length; row i of one corresponds to row i of the other.
+    temperature
+        τ.
+
+    References
+    ----------
+    van den Oord, Li, Vinyals 2018, *Representation learning with contrastive predictive coding*,
+    equation 4; symmetric as in Radford et al. 2021.
+    """
+    similarity = source @ target.T / temperature
+    ways = similarity.logsumexp(dim=0) + similarity.logsumexp(dim=1)
+    return ways / 2 - similarity.diagonal()
+
+
 @dataclass(frozen=True, slots=True)
 class PairCriteria:
     """The paper's criteria (section 3.6) over a set of pairs.

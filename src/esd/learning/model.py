@@ -58,6 +58,11 @@ class Model:
         Applied in turn with ReLU between them. None for a raw descriptor.
     margin
         C of the contrastive loss, in squared units of the embedding; None where there was none.
+    limit
+        Largest absolute value of a standardised descriptor, at which others are cut off; None for
+        no limit. It keeps a mesh unlike the training's from leading far astray.
+    unit_length
+        Whether the embedding lies on the unit sphere.
     card
         What it was trained on, how, and how it did: plain data.
     """
@@ -68,6 +73,8 @@ class Model:
     deviation: FloatArray
     layers: tuple[Layer, ...] = ()
     margin: float | None = None
+    limit: float | None = None
+    unit_length: bool = False
     card: Mapping[str, Any] = field(default_factory=dict)
 
     def threshold(self) -> float:
@@ -95,18 +102,28 @@ class Model:
                 f"The model takes descriptors of shape (n, {self.recipe.width}); "
                 f"got {values.shape}."
             )
-        result = (values - self.mean) / self.deviation
+        result = standardised(values, self.mean, self.deviation, limit=self.limit)
         for i, layer in enumerate(self.layers):
             result = (np.maximum(result, 0) if i else result) @ layer.weight.T + layer.bias
+        if self.unit_length:
+            result /= np.linalg.norm(result, axis=1, keepdims=True)
         return result
 
     def embed_mesh(self, mesh: Mesh, *, cache: Cache | None = None) -> FloatArray:
         """Embedding (n, outputs) of the vertices of a mesh; NaN at vertices without a face."""
-        return self.embed_spectrum(recipe_spectrum(self.recipe, mesh, cache=cache))
+        return self.embed_spectrum(mesh, recipe_spectrum(self.recipe, mesh, cache=cache))
 
-    def embed_spectrum(self, pairs: Spectrum) -> FloatArray:
-        """Embedding (n, outputs) of the vertices, from the `recipe_spectrum` of a mesh."""
-        return self.embed(spectrum_descriptors(self.recipe, pairs))
+    def embed_spectrum(self, mesh: Mesh, pairs: Spectrum) -> FloatArray:
+        """Embedding (n, outputs) of the vertices of a mesh, from its `recipe_spectrum`."""
+        return self.embed(spectrum_descriptors(self.recipe, mesh, pairs))
+
+
+def standardised(
+    values: FloatArray, mean: FloatArray, deviation: FloatArray, *, limit: float | None
+) -> FloatArray:
+    """Descriptors (n, width) less their mean, in deviations, (width,) each, cut off at a limit."""
+    result = (values - mean) / deviation
+    return result if limit is None else np.clip(result, -limit, limit)
 
 
 def raw_model(kind: str) -> Model:
@@ -159,6 +176,8 @@ def load_model(model: str | os.PathLike[str]) -> Model:
                 Layer(weights[f"layer{i}.weight"], weights[f"layer{i}.bias"]) for i in range(count)
             ),
             margin=config["margin"],
+            limit=config.get("limit"),
+            unit_length=config.get("unit_length", False),
             card=config["card"],
         )
     except (KeyError, TypeError) as error:
@@ -182,6 +201,8 @@ def save_model(model: Model, folder: str | os.PathLike[str]) -> None:
         "recipe": model.recipe.to_json(),
         "layers": layer_widths(model),
         "margin": model.margin,
+        "limit": model.limit,
+        "unit_length": model.unit_length,
         "card": dict(model.card),
     }
     arrays: dict[str, npt.NDArray[Any]] = {"mean": model.mean, "deviation": model.deviation}

@@ -11,7 +11,10 @@ import numpy.typing as npt
 from esd.common import FloatArray, InputError, IntArray
 from esd.datasets.collection import Collection, check_correspondence
 from esd.descriptors.recipe import Recipe, descriptors
+from esd.learning.model import standardised
 from esd.spectral.cache import Cache
+
+_CHUNK = 2**16  # rows
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,9 +35,15 @@ class PointTable:
     rows: tuple[IntArray, ...]
     templates: tuple[str, ...]
 
-    def standardised(self, mean: FloatArray, deviation: FloatArray) -> PointTable:
-        """The table with its values less a mean and divided by a deviation, (width,) each."""
-        return replace(self, values=((self.values - mean) / deviation).astype(np.float32))
+    def standardised(
+        self, mean: FloatArray, deviation: FloatArray, *, limit: float | None = None
+    ) -> PointTable:
+        """The table with its values as `esd.learning.model.standardised` makes them."""
+        values = np.empty_like(self.values)
+        for start in range(0, len(values), _CHUNK):  # float64 of all at once may be too much
+            part = slice(start, start + _CHUNK)
+            values[part] = standardised(self.values[part], mean, deviation, limit=limit)
+        return replace(self, values=values)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,6 +67,7 @@ def point_table(
     collection: Collection,
     recipe: Recipe,
     *,
+    points: int | None = None,
     cache: Cache | None = None,
     on_shape: Callable[[], None] = lambda: None,
 ) -> PointTable:
@@ -65,6 +75,9 @@ def point_table(
 
     Parameters
     ----------
+    points
+        Number of points of each template to keep, drawn at random but the same for all its shapes,
+        with no other vertices, so that many shapes fit into memory; all by default.
     on_shape
         Called after each shape, to show progress.
 
@@ -82,6 +95,12 @@ def point_table(
             columns = descriptors(recipe, mesh, cache=cache)
         except InputError as error:
             raise InputError(f"'{shape.name}': {error}") from error
+        if points is not None and points < len(index):
+            index = index[np.sort(np.random.default_rng(0).permutation(len(index))[:points])]
+            kept, index = np.unique(index, return_inverse=True)
+            if kept[0] == -1:
+                kept, index = kept[1:], index - 1
+            columns = columns[kept]
         defined = np.isfinite(columns[index]).all(axis=1)
         rows.append(np.where((index >= 0) & defined, index + start, -1))
         values.append(columns.astype(np.float32))
@@ -116,6 +135,36 @@ def draw_pairs(
     InputError
         If no two shapes correspond.
     """
+    first_rows, second_rows = _draw_shapes(table, generator)
+    half = count // 2
+    size = len(first_rows)
+    first = generator.integers(size, size=count)
+    # another point: any step but a full round leads away from the first
+    step = generator.integers(1, size, size=count - half)
+    second = np.concatenate([first[:half], (first[half:] + step) % size])
+    label = np.concatenate([np.ones(half), generator.uniform(0, soft_label, size=count - half)])
+    return PairBatch(first_rows[first], second_rows[second], label.astype(np.float32))
+
+
+def draw_matches(table: PointTable, generator: np.random.Generator, *, count: int) -> PairBatch:
+    """A batch of corresponding pairs from two different shapes of one template, at random.
+
+    No point of the template occurs twice, so that each point of one shape has one match among
+    those of the other. There are fewer than `count` if the shapes share fewer points.
+
+    Raises
+    ------
+    InputError
+        If no two shapes correspond.
+    """
+    source, target = _draw_shapes(table, generator)
+    chosen = generator.choice(len(source), size=min(count, len(source)), replace=False)
+    label = np.ones(len(chosen), dtype=np.float32)
+    return PairBatch(source[chosen], target[chosen], label)
+
+
+def _draw_shapes(table: PointTable, generator: np.random.Generator) -> tuple[IntArray, IntArray]:
+    """Rows of two different shapes of one template at the points that both have."""
     a = int(generator.integers(len(table.rows)))
     partners = [
         i for i, template in enumerate(table.templates) if template == table.templates[a] and i != a
@@ -126,12 +175,4 @@ def draw_pairs(
     both = np.flatnonzero((table.rows[a] >= 0) & (table.rows[b] >= 0))
     if len(both) < 2:
         raise InputError("Two training shapes have fewer than two points in common.")
-    half = count // 2
-    first = generator.integers(len(both), size=count)
-    # another point: any step but a full round leads away from the first
-    step = generator.integers(1, len(both), size=count - half)
-    second = np.concatenate([first[:half], (first[half:] + step) % len(both)])
-    label = np.concatenate([np.ones(half), generator.uniform(0, soft_label, size=count - half)])
-    return PairBatch(
-        table.rows[a][both[first]], table.rows[b][both[second]], label.astype(np.float32)
-    )
+    return table.rows[a][both], table.rows[b][both]

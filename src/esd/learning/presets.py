@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 from esd.common import InputError
-from esd.descriptors.recipe import Recipe, single_recipe
+from esd.descriptors.recipe import Descriptor, Recipe, gradient_recipe, single_recipe
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,38 +23,86 @@ class Training:
         Dimension of the embedding.
     standardise
         Whether descriptors are standardised over the training shapes.
-    margin
-        C, in squared units of the embedding.
-    soft_label
-        Largest label of a pair that does not correspond.
+    limit
+        Largest absolute value of a standardised descriptor; others are cut off there.
+    loss
+        `contrastive`, the paper's, or `infonce`, of embeddings of unit length.
+    margin, soft_label
+        Of the contrastive loss: C, in squared units of the embedding, and the largest label of a
+        pair that does not correspond.
+    temperature
+        Of InfoNCE.
     batch
-        Pairs in a step, half of them corresponding.
+        Pairs in a step. Half of them correspond for the contrastive loss, all for InfoNCE.
     learning_rate
         Of Adam, at the first step.
+    schedule
+        `exponential`: times `decay` after each step; `cosine`: falling to a twentieth.
     decay
-        Factor on the learning rate after each step.
+        Factor on the learning rate after each step, if exponential.
     steps
         Number of steps.
+    remeshings
+        Copies of each training shape with other triangles, from coarse to dense, that are trained
+        on as well, so that the embedding does not depend on triangles.
+    points
+        Points of each template that are trained on; None for all.
     """
 
     recipe: Recipe
     hidden: tuple[int, ...]
     outputs: int = 15
     standardise: bool = True
+    limit: float | None = None
+    loss: Literal["contrastive", "infonce"] = "contrastive"
     margin: float = 5.0
     soft_label: float = 0.2
+    temperature: float = 0.07
     batch: int = 512
     learning_rate: float = 0.015
+    schedule: Literal["exponential", "cosine"] = "exponential"
     decay: float = 0.9999
     steps: int = 20_000
+    remeshings: int = 0
+    points: int | None = None
+
+
+_COLUMNS = tuple(range(0, 100, 7))  # 15 of the 100 of HKS or WKS
+_ODD_TIMES = (1e-3, 2e-3, 4e-3, 1.6e-2, 6e-2)
+_EVEN_TIMES = (1e-3, 4e-3, 1.6e-2)
+
+
+def _oriented_recipe() -> Recipe:
+    """HKS and WKS, and the products of the gradients of their components of similar scale."""
+    products = [
+        gradient_recipe(kind, of, columns=_COLUMNS, reach=3, times=times)
+        for kind, times in (("chirality", _ODD_TIMES), ("alignment", _EVEN_TIMES))
+        for of in ("hks", "wks")
+    ]
+    return Recipe((Descriptor("hks", 100, log=True), Descriptor("wks", 100, log=True), *products))
 
 
 PRESETS = {
+    "oriented": Training(
+        _oriented_recipe(),
+        hidden=(256, 128),
+        outputs=32,
+        limit=8.0,
+        loss="infonce",
+        learning_rate=2e-3,
+        schedule="cosine",
+        steps=3000,
+        remeshings=1,
+        points=4000,
+    ),
     "paper-hks": Training(single_recipe("hks"), hidden=(78, 32)),
     "paper-wks": Training(single_recipe("wks"), hidden=(78, 32)),
     "paper-gps": Training(single_recipe("gps"), hidden=(20, 18)),
 }
-"""The networks of the paper (sections 3.4 and 3.5), which leaves the number of steps open."""
+"""`oriented`, which tells left from right, and the networks of the paper (sections 3.4 and 3.5).
+
+The paper leaves the number of steps open.
+"""
 
 
 def preset(name: str) -> Training:

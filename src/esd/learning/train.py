@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import math
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +19,18 @@ from safetensors.torch import save_file
 
 from esd.common import InputError, whole_file
 from esd.datasets.collection import Collection
-from esd.learning.losses import PairCriteria, contrastive_loss, pair_criteria
+from esd.datasets.remeshing import with_remeshings
+from esd.learning.losses import PairCriteria, contrastive_loss, infonce_loss, pair_criteria
 from esd.learning.model import Layer, Model
 from esd.learning.network import seeded_network
-from esd.learning.pairs import PairBatch, PointTable, draw_pairs, point_table, standardisation
+from esd.learning.pairs import (
+    PairBatch,
+    PointTable,
+    draw_matches,
+    draw_pairs,
+    point_table,
+    standardisation,
+)
 from esd.learning.presets import Training
 from esd.spectral.cache import Cache, content_key
 
@@ -30,6 +40,8 @@ CHECK_EVERY = 500
 _PATIENCE = 10  # looks without improvement after which training stops
 _VALIDATION_BATCHES = 40
 _LARGEST_SEED = 2**32 - 1
+_SOFT_LABEL = 0.2  # of the paper, where criteria are measured
+_LAST_RATE = 0.05  # of the learning rate, where it falls as a cosine
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,21 +52,21 @@ class Progress:
     ----------
     step, steps
         Steps done, and to be done at the most.
-    criteria
-        Of the validation pairs at the last look; None without validation shapes.
+    validation_loss
+        Mean over the validation pairs at the last look; None without validation shapes.
     """
 
     step: int
     steps: int
-    criteria: PairCriteria | None
+    validation_loss: float | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Pairs:
-    """Pairs held ready to be embedded."""
+class _HeldOut:
+    """Batches of validation pairs, the same at each look."""
 
     values: torch.Tensor
-    batch: PairBatch
+    batches: tuple[PairBatch, ...]
 
 
 @dataclass(slots=True, eq=False)
@@ -107,30 +119,34 @@ def train(
     """
     if not 0 <= seed <= _LARGEST_SEED:
         raise InputError(f"`seed` must be from 0 to {_LARGEST_SEED}; got {seed}.")
-    table = point_table(collection, training.recipe, cache=cache, on_shape=on_shape)
+    describe = partial(
+        point_table, recipe=training.recipe, points=training.points, cache=cache, on_shape=on_shape
+    )
+    table = describe(with_remeshings(collection, training.remeshings, seed=seed))
     width = training.recipe.width
     mean, deviation = (
         standardisation(table) if training.standardise else (np.zeros(width), np.ones(width))
     )
-    table = table.standardised(mean, deviation)
+    table = table.standardised(mean, deviation, limit=training.limit)
     held_out = None
     if validation is not None:
-        held = point_table(validation, training.recipe, cache=cache, on_shape=on_shape)
-        held_out = _fixed_pairs(held.standardised(mean, deviation), training)
+        held = describe(validation).standardised(mean, deviation, limit=training.limit)
+        batches = (_draw(held, training, _LARGEST_SEED, i) for i in range(_VALIDATION_BATCHES))
+        held_out = _HeldOut(torch.from_numpy(held.values), tuple(batches))
 
     run = _start(training, seed)
     path = Path(checkpoint) if checkpoint is not None else None
     identity = _identity(table, held_out, training, seed)
     if path is not None and path.exists():
         _resume(run, path, identity)
-    criteria = None
+    loss = None
     while run.step < training.steps and not _is_exhausted(run, held_out):
         _advance(run, table, training, seed)
         if held_out is not None:
-            criteria = _look(run, held_out, training)
+            loss = _look(run, held_out, training)
         if path is not None:
             _save_checkpoint(run, path, identity)
-        on_progress(Progress(run.step, training.steps, criteria))
+        on_progress(Progress(run.step, training.steps, loss))
     if path is not None:
         path.unlink(missing_ok=True)
     return Model(
@@ -139,7 +155,9 @@ def train(
         mean=mean,
         deviation=deviation,
         layers=_layers(run.best_weights if held_out is not None else _weights(run.network)),
-        margin=training.margin,
+        margin=training.margin if training.loss == "contrastive" else None,
+        limit=training.limit,
+        unit_length=training.loss == "infonce",
         card=_card(collection, validation, training, seed, run),
     )
 
@@ -157,36 +175,27 @@ def embedded_criteria(
     if model.margin is None:
         raise InputError(f"'{model.name}' was trained without a margin; the criteria need one.")
     table = point_table(collection, model.recipe, cache=cache)
-    draws = _draws(table, range(batches), seed=_LARGEST_SEED, count=512, soft_label=0.2)
-    source, target = (model.embed(table.values[rows]) for rows in (draws.source, draws.target))
-    squared = ((source - target) ** 2).sum(axis=1)
-    return pair_criteria(squared, draws.label, margin=model.margin)
-
-
-def _draws(
-    table: PointTable, steps: Iterable[int], *, seed: int, count: int, soft_label: float
-) -> PairBatch:
-    """The batches of some steps, one after another; each step has a generator of its own."""
-    batches = [
-        draw_pairs(table, np.random.default_rng((seed, step)), count=count, soft_label=soft_label)
-        for step in steps
+    draws = [
+        draw_pairs(
+            table, np.random.default_rng((_LARGEST_SEED, i)), count=512, soft_label=_SOFT_LABEL
+        )
+        for i in range(batches)
     ]
-    return PairBatch(
-        np.concatenate([batch.source for batch in batches]),
-        np.concatenate([batch.target for batch in batches]),
-        np.concatenate([batch.label for batch in batches]),
+    source, target = (
+        model.embed(table.values[np.concatenate(rows)])
+        for rows in ([draw.source for draw in draws], [draw.target for draw in draws])
     )
+    label = np.concatenate([draw.label for draw in draws])
+    squared = ((source - target) ** 2).sum(axis=1)
+    return pair_criteria(squared, label, margin=model.margin)
 
 
-def _fixed_pairs(table: PointTable, training: Training) -> _Pairs:
-    batch = _draws(
-        table,
-        range(_VALIDATION_BATCHES),
-        seed=_LARGEST_SEED,
-        count=training.batch,
-        soft_label=training.soft_label,
-    )
-    return _Pairs(torch.from_numpy(table.values), batch)
+def _draw(table: PointTable, training: Training, seed: int, step: int) -> PairBatch:
+    """The batch of a step, which has a random generator of its own."""
+    generator = np.random.default_rng((seed, step))
+    if training.loss == "infonce":
+        return draw_matches(table, generator, count=training.batch)
+    return draw_pairs(table, generator, count=training.batch, soft_label=training.soft_label)
 
 
 def _start(training: Training, seed: int) -> _Run:
@@ -207,41 +216,50 @@ def _advance(run: _Run, table: PointTable, training: Training, seed: int) -> Non
     values = torch.from_numpy(table.values)
     stop = min(run.step + CHECK_EVERY, training.steps)
     for step in range(run.step, stop):
-        batch = draw_pairs(
-            table,
-            np.random.default_rng((seed, step)),
-            count=training.batch,
-            soft_label=training.soft_label,
-        )
-        run.optimiser.param_groups[0]["lr"] = training.learning_rate * training.decay**step
-        squared = _squared_distances(run.network, _Pairs(values, batch))
-        label = torch.from_numpy(batch.label)
-        loss = contrastive_loss(squared, label, margin=training.margin).sum()
+        run.optimiser.param_groups[0]["lr"] = learning_rate(training, step)
+        loss = _losses(run.network, values, _draw(table, training, seed, step), training).sum()
         run.optimiser.zero_grad()
         loss.backward()
         run.optimiser.step()
     run.step = stop
 
 
-def _squared_distances(network: torch.nn.Sequential, pairs: _Pairs) -> torch.Tensor:
-    count = len(pairs.batch.source)
-    rows = torch.from_numpy(np.concatenate([pairs.batch.source, pairs.batch.target]))
-    embedded = network(pairs.values[rows])
-    return ((embedded[:count] - embedded[count:]) ** 2).sum(dim=1)
+def learning_rate(training: Training, step: int) -> float:
+    """Learning rate of a step, from 0."""
+    if training.schedule == "exponential":
+        return training.learning_rate * training.decay**step
+    fall = (1 + math.cos(math.pi * step / training.steps)) / 2
+    return training.learning_rate * (_LAST_RATE + (1 - _LAST_RATE) * fall)
 
 
-def _look(run: _Run, held_out: _Pairs, training: Training) -> PairCriteria:
-    """The criteria on the validation pairs; keeps the weights if they are the best so far."""
+def _losses(
+    network: torch.nn.Sequential, values: torch.Tensor, batch: PairBatch, training: Training
+) -> torch.Tensor:
+    """Loss of each pair of a batch, (b,)."""
+    rows = torch.from_numpy(np.concatenate([batch.source, batch.target]))
+    embedded = network(values[rows])
+    if training.loss == "infonce":
+        source, target = torch.nn.functional.normalize(embedded, dim=1).chunk(2)
+        return infonce_loss(source, target, temperature=training.temperature)
+    source, target = embedded.chunk(2)
+    squared = ((source - target) ** 2).sum(dim=1)
+    return contrastive_loss(squared, torch.from_numpy(batch.label), margin=training.margin)
+
+
+def _look(run: _Run, held_out: _HeldOut, training: Training) -> float:
+    """The loss on the validation pairs; keeps the weights if they are the best so far."""
     with torch.no_grad():
-        squared = _squared_distances(run.network, held_out).double().numpy()
-    criteria = pair_criteria(squared, held_out.batch.label, margin=training.margin)
-    if criteria.loss_mean < run.best_loss:
-        run.best_loss, run.best_step = criteria.loss_mean, run.step
+        losses = [
+            _losses(run.network, held_out.values, batch, training) for batch in held_out.batches
+        ]
+    mean = float(torch.cat(losses).double().mean())
+    if mean < run.best_loss:
+        run.best_loss, run.best_step = mean, run.step
         run.best_weights = _weights(run.network)
-    return criteria
+    return mean
 
 
-def _is_exhausted(run: _Run, held_out: _Pairs | None) -> bool:
+def _is_exhausted(run: _Run, held_out: _HeldOut | None) -> bool:
     return held_out is not None and run.step - run.best_step >= _PATIENCE * CHECK_EVERY
 
 
@@ -254,11 +272,11 @@ def _layers(weights: list[torch.Tensor]) -> tuple[Layer, ...]:
     return tuple(Layer(weight.numpy(), bias.numpy()) for weight, bias in pairs)
 
 
-def _identity(table: PointTable, held_out: _Pairs | None, training: Training, seed: int) -> str:
+def _identity(table: PointTable, held_out: _HeldOut | None, training: Training, seed: int) -> str:
     """What a training depends on; a checkpoint goes on only with the same."""
     arrays: list[npt.NDArray[Any]] = [table.values, *table.rows]
     if held_out is not None:
-        arrays += [held_out.values.numpy(), held_out.batch.source, held_out.batch.target]
+        arrays += [held_out.values.numpy(), *(batch.source for batch in held_out.batches)]
     return content_key("training", *arrays, training=asdict(training), seed=seed)
 
 

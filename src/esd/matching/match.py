@@ -48,11 +48,11 @@ def match(
     """
     model = model if isinstance(model, Model) else load_model(model)
     cache = default_cache() if cache is None else cache
-    first = recipe_spectrum(model.recipe, as_mesh(source), cache=cache)
-    second = recipe_spectrum(model.recipe, as_mesh(target), cache=cache)
+    meshes = as_mesh(source), as_mesh(target)
+    first, second = (recipe_spectrum(model.recipe, mesh, cache=cache) for mesh in meshes)
     return match_embedded(
-        model.embed_spectrum(first),
-        model.embed_spectrum(second),
+        model.embed_spectrum(meshes[0], first),
+        model.embed_spectrum(meshes[1], second),
         margin=model.margin,
         spectra=(first, second) if refine else None,
     )

@@ -43,22 +43,29 @@ def laplacian(mesh: Mesh, *, kind: LaplacianKind = "cotangent") -> tuple[SparseM
 def stiffness(mesh: Mesh) -> SparseMatrix:
     """Cotangent stiffness matrix (n, n) from the edge lengths alone.
 
-    Entry (i, j) is −(cot α + cot β) / 2 for the angles opposite to edge ij. The area of a
-    degenerate face is floored at a tiny share of the mean, so all entries are finite.
+    Entry (i, j) is −(cot α + cot β) / 2 for the angles opposite to edge ij.
     """
-    squared = edge_lengths(mesh) ** 2
-    area = _heron(np.sqrt(squared))
-    floor = _AREA_FLOOR * max(float(area.mean()), float(squared.mean()) * _AREA_FLOOR)
-    # cot of the angle opposite to side i: (sum of the other two squared − side² ) / (4 · area)
-    cotangent = (squared.sum(axis=1, keepdims=True) - 2 * squared) / (
-        4 * np.maximum(area, floor)[:, None]
-    )
+    cotangent = cotangents(mesh)
     rows = mesh.faces[:, [1, 2, 0]].ravel()
     columns = mesh.faces[:, [2, 0, 1]].ravel()
     size = len(mesh.vertices)
     half = sparse.coo_array((-cotangent.ravel() / 2, (rows, columns)), shape=(size, size)).tocsc()
     off_diagonal = half + half.T
     return (off_diagonal - sparse.diags_array(off_diagonal.sum(axis=0))).tocsc()
+
+
+def cotangents(mesh: Mesh) -> FloatArray:
+    """Cotangents of the angles at the corners of the faces, (m, 3), from the edge lengths alone.
+
+    The area of a degenerate face is floored at a tiny share of the mean, so all are finite.
+    """
+    squared = edge_lengths(mesh) ** 2
+    area = _heron(np.sqrt(squared))
+    floor = _AREA_FLOOR * max(float(area.mean()), float(squared.mean()) * _AREA_FLOOR)
+    # (sum of the squared sides at the corner − square of the side opposite to it) / (4 · area)
+    return np.asarray(
+        (squared.sum(axis=1, keepdims=True) - 2 * squared) / (4 * np.maximum(area, floor)[:, None])
+    )
 
 
 def lumped_mass(mesh: Mesh) -> FloatArray:
