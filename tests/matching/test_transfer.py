@@ -89,6 +89,11 @@ def test_parts_out_of_reach_get_nothing():
         carried_texture(np.zeros((80, 3, 2)), one, both, match)
 
 
+def test_a_map_to_one_vertex_carries_one_value(coarse):
+    places = vertex_places(coarse, coarse, exact(np.full(63, 5)))
+    assert len(set(carried_values(np.arange(63.0), coarse, places))) == 1
+
+
 def test_a_face_that_the_map_tears_carries_nothing():
     """One vertex of a sphere is mapped to the other side: values there do not leak through."""
     sphere = icosphere(3)

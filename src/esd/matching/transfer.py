@@ -227,16 +227,16 @@ def _places(
     hits = geodesic_graph(target).nearest_source(hit)[near]
     reach = np.linalg.norm(points[:, None] - target.vertices[hits], axis=2)
     reach[hits < 0] = np.inf
-    closest = reach.argmin(axis=1)[:, None]
+    first_choice = reach.argmin(axis=1)[:, None]
     speaker = np.full(len(target.vertices) + 1, -1)  # one more, which stands for none
     speaker[hit] = usable[first]
-    places = _at_vertices(source, speaker[np.take_along_axis(hits, closest, axis=1)[:, 0]])
+    places = _at_vertices(source, speaker[np.take_along_axis(hits, first_choice, axis=1)[:, 0]])
     if method == "nearest":
         return places
 
     image = match.target_index[source.faces]
     touching = _faces_at_images(source, target, image)
-    best = np.take_along_axis(reach, closest, axis=1)[:, 0]
+    best = np.take_along_axis(reach, first_choice, axis=1)[:, 0]
     for start in range(0, len(points), _CHUNK):
         chunk, column = np.nonzero(hits[start : start + _CHUNK] >= 0)
         rows = touching[hits[start + chunk, column]]
