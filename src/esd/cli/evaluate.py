@@ -29,11 +29,13 @@ def evaluate(
         ),
     ] = None,
     refine: Annotated[
-        bool,
+        bool | None,
         typer.Option(
-            "--refine/--no-refine", help="Refine the maps in the spectral domain, by ZoomOut."
+            "--refine/--no-refine",
+            help="Refine by ZoomOut; by default if MODEL tells left from right.",
+            show_default=False,
         ),
-    ] = False,
+    ] = None,
     reject: Annotated[
         bool, typer.Option("--reject", help="Drop matches beyond the model's threshold, C / 2.")
     ] = False,

@@ -104,7 +104,7 @@ def evaluate(
     model: Model,
     pairs: Sequence[tuple[Shape, Shape]],
     *,
-    refine: bool = False,
+    refine: bool | None = None,
     reject: bool = False,
     processes: int = 1,
     cache: Cache | None = None,
@@ -117,7 +117,7 @@ def evaluate(
     pairs
         Source and target shapes.
     refine
-        Whether maps are refined by `zoomout`.
+        Whether maps are refined by `zoomout`; by default if the model tells left from right.
     reject
         Whether matches beyond the model's threshold are dropped.
     processes
@@ -133,6 +133,7 @@ def evaluate(
         If a shape cannot be read, or rejection is asked of a model without a margin.
     """
     threshold = model.threshold() if reject else np.inf
+    refine = model.is_oriented if refine is None else refine
     start = time.perf_counter()
     shapes = {shape.name: shape for pair in pairs for shape in pair}
     embedded = {name: _embedded(model, shape, cache) for name, shape in shapes.items()}

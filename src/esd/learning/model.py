@@ -77,6 +77,11 @@ class Model:
     unit_length: bool = False
     card: Mapping[str, Any] = field(default_factory=dict)
 
+    @property
+    def is_oriented(self) -> bool:
+        """Whether it tells left from right: its recipe has chirality."""
+        return any(part.kind == "chirality" for part in self.recipe.descriptors)
+
     def threshold(self) -> float:
         """Squared distance beyond which the paper rejects a match: C / 2.
 

@@ -11,7 +11,7 @@ from esd.descriptors.recipe import recipe_spectrum
 from esd.learning.model import Model, load_model
 from esd.matching.correspondence import Correspondence
 from esd.matching.nearest import nearest
-from esd.matching.refine import zoomout
+from esd.matching.refine import mean_squared_distance, zoomout
 from esd.mesh.mesh import MeshLike, as_mesh
 from esd.spectral.cache import Cache, default_cache
 from esd.spectral.spectrum import Spectrum
@@ -25,7 +25,7 @@ def match(
     target: MeshLike,
     *,
     model: Model | str | os.PathLike[str] = DEFAULT_MODEL,
-    refine: bool = False,
+    refine: bool | None = None,
     cache: Cache | None = None,
 ) -> Correspondence:
     """The target vertex that corresponds to each source vertex.
@@ -37,7 +37,7 @@ def match(
     model
         A `Model`, or what `load_model` takes.
     refine
-        Whether the map is refined by `zoomout`.
+        Whether the map is refined by `zoomout`; by default if the model tells left from right.
     cache
         Where spectra are looked up and kept; the user's cache by default.
 
@@ -54,7 +54,7 @@ def match(
         model.embed_spectrum(meshes[0], first),
         model.embed_spectrum(meshes[1], second),
         margin=model.margin,
-        spectra=(first, second) if refine else None,
+        spectra=(first, second) if (model.is_oriented if refine is None else refine) else None,
     )
 
 
@@ -79,14 +79,8 @@ def match_embedded(
     """
     index, distance = nearest(source, target)
     if spectra is not None:
-        index = zoomout(spectra[0], spectra[1], index)
+        index = zoomout(*spectra, index, embeddings=(source, target))
         reached = np.linalg.norm(source - target[index], axis=1)
         distance = np.where(index >= 0, reached, np.inf)
-    scale = _mean_squared_distance(source, target) if margin is None else margin
+    scale = mean_squared_distance(source, target) if margin is None else margin
     return Correspondence(index, distance, np.exp(-(distance**2) / scale))
-
-
-def _mean_squared_distance(source: FloatArray, target: FloatArray) -> float:
-    a, b = (rows[np.isfinite(rows).all(axis=1)] for rows in (source, target))
-    spread = a.var(axis=0) + b.var(axis=0) + (a.mean(axis=0) - b.mean(axis=0)) ** 2
-    return float(spread.sum())

@@ -7,7 +7,7 @@ from scipy.spatial import KDTree
 
 from esd.common import FloatArray, InputError, IntArray
 
-_TREE_WIDTH = 32  # beyond this dimension a tree visits nearly everything
+_TREE_WIDTH = 20  # beyond this dimension a tree visits nearly everything
 _CHUNK_BYTES = 2**27
 
 
@@ -41,7 +41,7 @@ def _by_tree(source: FloatArray, target: FloatArray) -> tuple[IntArray, FloatArr
 
 
 def _by_products(source: FloatArray, target: FloatArray) -> tuple[IntArray, FloatArray]:
-    """By |s − t|² = |s|² − 2 s·t + |t|², in float64 and centred, so that little cancels."""
+    """By |s − t|² = |s|² − 2 s·t + |t|², centred, so that little cancels."""
     centre = target.mean(axis=0)
     source, target = source - centre, target - centre
     half_squares = np.einsum("ij,ij->i", target, target) / 2
