@@ -1,7 +1,9 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test check docs clean
+SECONDS ?= 1800
+
+.PHONY: demo test check docs fuzz clean
 
 demo: .venv/demo
 	$(BIN)/python examples/demo.py
@@ -28,5 +30,10 @@ docs: .venv/dev
 	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[dev]'
 	touch $@
 
+fuzz: .venv/dev
+	$(BIN)/pip install --quiet 'atheris>=2.3'
+	mkdir -p fuzz
+	$(BIN)/python tools/fuzz.py -max_total_time=$(SECONDS) -max_len=5000 -timeout=20 -rss_limit_mb=4096 -artifact_prefix=fuzz/
+
 clean:
-	rm -rf .venv demo dist site docs/pictures
+	rm -rf .venv demo dist fuzz site docs/pictures

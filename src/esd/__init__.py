@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from esd.matching.correspondence import load_map as load_map
     from esd.matching.correspondence import save_map as save_map
     from esd.matching.match import match as match
+    from esd.mesh.doctor import diagnose as diagnose
+    from esd.mesh.doctor import repair as repair
     from esd.mesh.files import read_mesh as read_mesh
     from esd.mesh.files import write_mesh as write_mesh
     from esd.mesh.mesh import Mesh as Mesh
@@ -34,11 +36,13 @@ _HOMES = {
     "Mesh": "esd.mesh.mesh",
     "Model": "esd.learning.model",
     "as_mesh": "esd.mesh.mesh",
+    "diagnose": "esd.mesh.doctor",
     "load_map": "esd.matching.correspondence",
     "load_model": "esd.learning.model",
     "match": "esd.matching.match",
     "open_collection": "esd.datasets.open",
     "read_mesh": "esd.mesh.files",
+    "repair": "esd.mesh.doctor",
     "save_map": "esd.matching.correspondence",
     "view": "esd.viewing.page",
     "with_attributes": "esd.mesh.mesh",

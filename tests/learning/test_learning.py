@@ -107,7 +107,13 @@ def test_a_table_of_some_points_has_the_same_points_of_all_shapes(collection):
 
 def test_infonce_trains_an_embedding_of_unit_length(collection):
     training = replace(
-        TRAINING, loss="infonce", schedule="cosine", learning_rate=5e-3, limit=4.0, remeshings=1
+        TRAINING,
+        loss="infonce",
+        schedule="cosine",
+        learning_rate=5e-3,
+        limit=4.0,
+        remeshings=1,
+        dropout=0.1,
     )
     losses = []
     model = train(

@@ -80,8 +80,8 @@ def test_wrong_paths_are_refused(tmp_path):
     with pytest.raises(InputError, match="There is no file"):
         read_mesh(tmp_path / "no.off")
     with pytest.raises(InputError, match="not a mesh file"):
-        read_mesh(tmp_path / "m.xyz")
+        read_mesh(tmp_path / "m.abc")
     with pytest.raises(InputError, match="expected a suffix"):
-        write_mesh(torus(4, 4), tmp_path / "m.xyz")
+        write_mesh(torus(4, 4), tmp_path / "m.abc")
     with pytest.raises(InputError, match="does not exist"):
         write_mesh(torus(4, 4), tmp_path / "no" / "m.off")

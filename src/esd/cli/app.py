@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import signal
 import sys
 from collections.abc import Callable
 
@@ -11,6 +12,7 @@ import typer
 from esd.cli.cache import cache
 from esd.cli.data import data
 from esd.cli.descriptor import descriptor
+from esd.cli.doctor import doctor
 from esd.cli.evaluate import evaluate
 from esd.cli.export import export
 from esd.cli.match import match
@@ -49,6 +51,7 @@ _EXAMPLES: dict[Callable[..., None], tuple[str, ...]] = {
     evaluate: ("esd evaluate bodies --include 's1[0-3]_p0[0369]'",),
     spectrum: ("esd spectrum a.ply -k 100 -o a.npz",),
     descriptor: ("esd descriptor a.ply --kind wks -o a-wks.npz",),
+    doctor: ("esd doctor a.ply --repair mended.ply",),
     cache: ("esd cache --clear",),
 }
 for command, examples in _EXAMPLES.items():
@@ -78,6 +81,8 @@ def _common(
 def main() -> None:
     """Run the command line; ends the process with 0, 1 (bad input) or 2 (wrong usage)."""
     logging.basicConfig(format="esd: %(message)s", level=logging.WARNING, stream=sys.stderr)
+    # as Ctrl-C does, so that temporary files are removed on the way out
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     try:
         app()
     except InputError as error:

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from esd.cli.doctor import tell_findings
 from esd.cli.output import ForceOption, free_path, tell
 
 
@@ -25,13 +26,19 @@ def descriptor(
     log: Annotated[bool, typer.Option(help="Take the logarithm.")] = False,
     force: ForceOption = False,
 ) -> None:
-    """Write a spectral descriptor of each vertex of MESH, one row a vertex, for unit area."""
+    """Write a spectral descriptor of each vertex of MESH, one row a vertex, for unit area.
+
+    MESH may be broken, or points alone: see esd doctor. Vertices that were left out have nan.
+    """
     from esd.descriptors.files import check_descriptor_path, save_descriptor
     from esd.descriptors.recipe import descriptors, single_recipe
-    from esd.mesh.mesh import as_mesh
+    from esd.mesh.doctor import repair
     from esd.spectral.cache import default_cache
 
     path = free_path(check_descriptor_path(output or Path(f"{mesh.stem}-{kind}.npz")), force=force)
-    values = descriptors(single_recipe(kind, log=log), as_mesh(mesh), cache=default_cache())
+    shape = repair(mesh)
+    values = descriptors(single_recipe(kind, log=log), shape.shape, cache=default_cache())
+    values = shape.carried_back(values)
+    tell_findings(mesh, shape)
     save_descriptor(values, path)
     tell(f"{kind}: {values.shape[0]} vertices, {values.shape[1]} components; {path}")

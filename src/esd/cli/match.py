@@ -46,10 +46,17 @@ def match(
         bool,
         typer.Option("--view", help="Also write a page that shows the map, and open it."),
     ] = False,
+    repair: Annotated[
+        bool,
+        typer.Option("--repair", help="Repair all that esd doctor would, not the harmless alone."),
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print a summary as JSON.")] = False,
     force: ForceOption = False,
 ) -> None:
-    """Map each vertex of SOURCE to its vertex of TARGET."""
+    """Map each vertex of SOURCE to its vertex of TARGET.
+
+    Meshes or points, broken ones as well: see esd doctor. The map is that of the files' vertices.
+    """
     import time
 
     import numpy as np
@@ -57,7 +64,7 @@ def match(
     from esd.learning.model import load_model
     from esd.matching.correspondence import check_map_path, save_map
     from esd.matching.match import match as match_meshes
-    from esd.mesh.mesh import as_mesh
+    from esd.mesh.doctor import repair as repaired
 
     start = time.perf_counter()
     path = free_path(
@@ -67,8 +74,8 @@ def match(
     if view:
         free_path(page, force=force)
     loaded = load_model(model)
-    source_mesh, target_mesh = as_mesh(source), as_mesh(target)
-    result = match_meshes(source_mesh, target_mesh, model=loaded, refine=refine)
+    shapes = repaired(source, everything=repair), repaired(target, everything=repair)
+    result = match_meshes(*shapes, model=loaded, refine=refine)
     if reject:
         result = result.rejecting(loaded.threshold())
     save_map(result, path)
@@ -76,11 +83,13 @@ def match(
     targets = np.unique(result.target_index[matched])
     summary = {
         "model": loaded.name,
-        "source_vertices": len(source_mesh.vertices),
-        "target_vertices": len(target_mesh.vertices),
+        "source_vertices": len(shapes[0].vertex_index),
+        "target_vertices": len(shapes[1].vertex_index),
         "matched": int(matched.sum()),
-        "coverage": len(targets) / len(target_mesh.vertices),
+        "coverage": len(targets) / len(shapes[1].vertex_index),
         "mean_confidence": float(result.confidence[matched].mean()) if matched.any() else 0.0,
+        "source_findings": shapes[0].in_a_line(),
+        "target_findings": shapes[1].in_a_line(),
         "seconds": time.perf_counter() - start,
     }
     if as_json:
@@ -92,6 +101,7 @@ def match(
         )
     if view:
         from esd.cli.view import write_page
+        from esd.mesh.mesh import as_mesh
 
-        write_page((source, source_mesh), (target, target_mesh), result, page)
+        write_page((source, as_mesh(source)), (target, as_mesh(target)), result, page)
         typer.launch(str(page.resolve()))

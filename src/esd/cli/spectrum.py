@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from esd.cli.doctor import tell_findings
 from esd.cli.output import ForceOption, free_path, tell
 
 
@@ -32,14 +33,21 @@ def spectrum(
     ] = Operator.cotangent,
     force: ForceOption = False,
 ) -> None:
-    """Write the smallest Laplace-Beltrami eigenpairs of MESH, for unit surface area."""
-    from esd.mesh.mesh import as_mesh
+    """Write the smallest Laplace-Beltrami eigenpairs of MESH, for unit surface area.
+
+    MESH may be broken, or points alone: see esd doctor. All of its pieces take part; vertices that
+    were left out have zeros.
+    """
+    from esd.mesh.doctor import repair
     from esd.spectral.cache import default_cache
     from esd.spectral.spectrum import check_spectrum_path, save_spectrum
     from esd.spectral.spectrum import spectrum as compute
 
     path = free_path(check_spectrum_path(output or Path(f"{mesh.stem}-spectrum.npz")), force=force)
-    pairs = compute(as_mesh(mesh), k, kind=laplacian.value, cache=default_cache())
+    shape = repair(mesh, all_pieces=True)
+    pairs = compute(shape.shape, k, kind=laplacian.value, cache=default_cache())
+    pairs = pairs.carried(shape.vertex_index)
+    tell_findings(mesh, shape)
     save_spectrum(pairs, path)
     values = pairs.eigenvalues
     tell(f"{len(values)} eigenvalues from {values[0]:g} to {values[-1]:g}; {path}")

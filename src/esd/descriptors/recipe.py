@@ -14,7 +14,7 @@ from esd.descriptors.gps import gps
 from esd.descriptors.hks import hks
 from esd.descriptors.sihks import sihks
 from esd.descriptors.wks import wks
-from esd.mesh.mesh import Mesh, surface_area
+from esd.mesh.mesh import Mesh, PointCloud, surface_area
 from esd.spectral.cache import Cache
 from esd.spectral.laplacian import LaplacianKind
 from esd.spectral.spectrum import Spectrum, spectrum
@@ -126,7 +126,9 @@ def gradient_recipe(
     return Descriptor(kind, count, options=options)
 
 
-def descriptors(recipe: Recipe, mesh: Mesh, *, cache: Cache | None = None) -> FloatArray:
+def descriptors(
+    recipe: Recipe, shape: Mesh | PointCloud, *, cache: Cache | None = None
+) -> FloatArray:
     """Values of a recipe's descriptors, (n, recipe.width); NaN at vertices without a face.
 
     Parameters
@@ -139,32 +141,43 @@ def descriptors(recipe: Recipe, mesh: Mesh, *, cache: Cache | None = None) -> Fl
     InputError
         If the mesh has too few vertices for the recipe.
     """
-    return spectrum_descriptors(recipe, mesh, recipe_spectrum(recipe, mesh, cache=cache))
+    return spectrum_descriptors(recipe, shape, recipe_spectrum(recipe, shape, cache=cache))
 
 
-def recipe_spectrum(recipe: Recipe, mesh: Mesh, *, cache: Cache | None = None) -> Spectrum:
-    """The spectrum of a mesh that a recipe asks for."""
-    pairs = spectrum(mesh, recipe.eigenpairs, kind=recipe.laplacian, cache=cache)
-    return pairs if recipe.unit_area else pairs.with_area(surface_area(mesh))
+def recipe_spectrum(
+    recipe: Recipe, shape: Mesh | PointCloud, *, cache: Cache | None = None
+) -> Spectrum:
+    """The spectrum of a shape that a recipe asks for."""
+    pairs = spectrum(shape, recipe.eigenpairs, kind=recipe.laplacian, cache=cache)
+    if recipe.unit_area:
+        return pairs
+    if isinstance(shape, PointCloud):
+        raise InputError("The area of a point cloud is not known; take a recipe for unit area.")
+    return pairs.with_area(surface_area(shape))
 
 
-def spectrum_descriptors(recipe: Recipe, mesh: Mesh, pairs: Spectrum) -> FloatArray:
-    """Values of a recipe's descriptors from the `recipe_spectrum` of a mesh, (n, recipe.width).
+def spectrum_descriptors(recipe: Recipe, shape: Mesh | PointCloud, pairs: Spectrum) -> FloatArray:
+    """Values of a recipe's descriptors from the `recipe_spectrum` of a shape, (n, recipe.width).
 
     Raises
     ------
     InputError
-        If the recipe has chirality, and the mesh no outside.
+        If the recipe has chirality, and the mesh no outside or the points no faces.
     """
-    columns = [_values(part, mesh, pairs) for part in recipe.descriptors]
+    columns = [_values(part, shape, pairs) for part in recipe.descriptors]
     values = np.concatenate(columns, axis=1)
     values[pairs.mass == 0] = np.nan
     return values
 
 
-def _values(part: Descriptor, mesh: Mesh, pairs: Spectrum) -> FloatArray:
+def _values(part: Descriptor, shape: Mesh | PointCloud, pairs: Spectrum) -> FloatArray:
     if part.kind in _PRODUCTS:
-        return _gradient_values(part, mesh, pairs)
+        if isinstance(shape, PointCloud):
+            raise InputError(
+                f"Points have no faces, which '{part.kind}' needs; take hks, wks or gps, or a "
+                "model of these."
+            )
+        return _gradient_values(part, shape, pairs)
     compute: Any = _DESCRIPTORS[part.kind]
     values: FloatArray = compute(pairs, count=part.count, **part.options)
     return np.log(np.maximum(values, np.finfo(float).tiny)) if part.log else values

@@ -24,12 +24,13 @@ from esd.descriptors.recipe import (
     single_recipe,
     spectrum_descriptors,
 )
-from esd.mesh.mesh import Mesh
+from esd.mesh.mesh import Mesh, PointCloud
 from esd.spectral.cache import Cache
 from esd.spectral.spectrum import Spectrum
 
 _FORMAT = 1
 _LARGEST_FILE = 2**30
+_LARGEST_CONFIG = 2**26
 _BUNDLED = Path(__file__).parent / "models"
 _ALIASES = {"default": "paper-hks"}
 
@@ -114,11 +115,11 @@ class Model:
             result /= np.linalg.norm(result, axis=1, keepdims=True)
         return result
 
-    def embed_mesh(self, mesh: Mesh, *, cache: Cache | None = None) -> FloatArray:
+    def embed_mesh(self, mesh: Mesh | PointCloud, *, cache: Cache | None = None) -> FloatArray:
         """Embedding (n, outputs) of the vertices of a mesh; NaN at vertices without a face."""
         return self.embed_spectrum(mesh, recipe_spectrum(self.recipe, mesh, cache=cache))
 
-    def embed_spectrum(self, mesh: Mesh, pairs: Spectrum) -> FloatArray:
+    def embed_spectrum(self, mesh: Mesh | PointCloud, pairs: Spectrum) -> FloatArray:
         """Embedding (n, outputs) of the vertices of a mesh, from its `recipe_spectrum`."""
         return self.embed(spectrum_descriptors(self.recipe, mesh, pairs))
 
@@ -246,6 +247,8 @@ def layer_widths(model: Model) -> list[int]:
 
 
 def _read_config(path: Path) -> dict[str, Any]:
+    if path.stat().st_size > _LARGEST_CONFIG:
+        raise InputError(f"'{path}' is larger than any model of this package has.")
     try:
         config = json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, OSError, RecursionError) as error:

@@ -25,6 +25,9 @@ class Training:
         Whether descriptors are standardised over the training shapes.
     limit
         Largest absolute value of a standardised descriptor; others are cut off there.
+    dropout
+        Share of the descriptors of each point that are set to zero, their mean, in each step, so
+        that the embedding does not depend on a few.
     loss
         `contrastive`, the paper's, or `infonce`, of embeddings of unit length.
     margin, soft_label
@@ -54,6 +57,7 @@ class Training:
     outputs: int = 15
     standardise: bool = True
     limit: float | None = None
+    dropout: float = 0.0
     loss: Literal["contrastive", "infonce"] = "contrastive"
     margin: float = 5.0
     soft_label: float = 0.2
@@ -67,17 +71,17 @@ class Training:
     points: int | None = None
 
 
-_COLUMNS = tuple(range(0, 100, 7))  # 15 of the 100 of HKS or WKS
-_ODD_TIMES = (1e-3, 2e-3, 4e-3, 1.6e-2, 6e-2)
-_EVEN_TIMES = (1e-3, 4e-3, 1.6e-2)
+# every seventh scale of HKS; energies of WKS that other triangles of a surface change little
+_COLUMNS = {"hks": range(0, 100, 7), "wks": range(0, 85, 6)}
+_TIMES = {"chirality": (1e-3, 2e-3, 4e-3, 1.6e-2, 6e-2), "alignment": (1e-3, 4e-3, 1.6e-2)}
 
 
 def _oriented_recipe() -> Recipe:
     """HKS and WKS, and the products of the gradients of their components of similar scale."""
     products = [
-        gradient_recipe(kind, of, columns=_COLUMNS, reach=3, times=times)
-        for kind, times in (("chirality", _ODD_TIMES), ("alignment", _EVEN_TIMES))
-        for of in ("hks", "wks")
+        gradient_recipe(kind, of, columns=columns, reach=3, times=times)
+        for kind, times in _TIMES.items()
+        for of, columns in _COLUMNS.items()
     ]
     return Recipe((Descriptor("hks", 100, log=True), Descriptor("wks", 100, log=True), *products))
 
@@ -88,12 +92,13 @@ PRESETS = {
         hidden=(256, 128),
         outputs=32,
         limit=8.0,
+        dropout=0.2,
         loss="infonce",
         learning_rate=2e-3,
         schedule="cosine",
         steps=3000,
-        remeshings=1,
-        points=4000,
+        remeshings=2,
+        points=2500,
     ),
     "paper-hks": Training(single_recipe("hks"), hidden=(78, 32)),
     "paper-wks": Training(single_recipe("wks"), hidden=(78, 32)),

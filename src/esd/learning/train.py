@@ -217,7 +217,9 @@ def _advance(run: _Run, table: PointTable, training: Training, seed: int) -> Non
     stop = min(run.step + CHECK_EVERY, training.steps)
     for step in range(run.step, stop):
         run.optimiser.param_groups[0]["lr"] = learning_rate(training, step)
-        loss = _losses(run.network, values, _draw(table, training, seed, step), training).sum()
+        batch = _draw(table, training, seed, step)
+        dropout = torch.Generator().manual_seed(_LARGEST_SEED * step + seed)
+        loss = _losses(run.network, values, batch, training, dropout=dropout).sum()
         run.optimiser.zero_grad()
         loss.backward()
         run.optimiser.step()
@@ -233,11 +235,19 @@ def learning_rate(training: Training, step: int) -> float:
 
 
 def _losses(
-    network: torch.nn.Sequential, values: torch.Tensor, batch: PairBatch, training: Training
+    network: torch.nn.Sequential,
+    values: torch.Tensor,
+    batch: PairBatch,
+    training: Training,
+    *,
+    dropout: torch.Generator | None = None,
 ) -> torch.Tensor:
-    """Loss of each pair of a batch, (b,)."""
-    rows = torch.from_numpy(np.concatenate([batch.source, batch.target]))
-    embedded = network(values[rows])
+    """Loss of each pair of a batch, (b,); with descriptors dropped at random, or all there."""
+    described = values[torch.from_numpy(np.concatenate([batch.source, batch.target]))]
+    if training.dropout and dropout is not None:
+        kept = torch.rand(described.shape, generator=dropout) >= training.dropout
+        described = described * kept / (1 - training.dropout)
+    embedded = network(described)
     if training.loss == "infonce":
         source, target = torch.nn.functional.normalize(embedded, dim=1).chunk(2)
         return infonce_loss(source, target, temperature=training.temperature)

@@ -171,7 +171,8 @@ def _parse(path: Path) -> tuple[IntArray, FloatArray, FloatArray]:
         )
         return index, distance, confidence
     if suffix == ".npy":
-        array = np.load(path, allow_pickle=False)
+        # mapped, so that a head which promises more than the file holds costs nothing
+        array = np.load(path, mmap_mode="r", allow_pickle=False)
         if array.ndim != 1 or array.dtype.kind not in "iu":
             raise InputError(f"expected integers of shape (n,), got {array.dtype} {array.shape}")
         index = array.astype(np.int64)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 
 import numpy as np
@@ -12,17 +13,20 @@ from esd.learning.model import Model, load_model
 from esd.matching.correspondence import Correspondence
 from esd.matching.nearest import nearest
 from esd.matching.refine import mean_squared_distance, zoomout
-from esd.mesh.mesh import MeshLike, as_mesh
+from esd.mesh.doctor import Repaired, repair
+from esd.mesh.mesh import MeshLike
 from esd.spectral.cache import Cache, default_cache
 from esd.spectral.spectrum import Spectrum
+
+_log = logging.getLogger(__name__)
 
 DEFAULT_MODEL = "default"
 """Name of the model that is used where none is given."""
 
 
 def match(
-    source: MeshLike,
-    target: MeshLike,
+    source: MeshLike | Repaired,
+    target: MeshLike | Repaired,
     *,
     model: Model | str | os.PathLike[str] = DEFAULT_MODEL,
     refine: bool | None = None,
@@ -33,7 +37,9 @@ def match(
     Parameters
     ----------
     source, target
-        Meshes, or whatever `as_mesh` takes.
+        Meshes, or whatever `as_mesh` takes, or points without faces. What is wrong with them is
+        logged in one line, and what can be mended without harm is, see `esd.mesh.doctor`. The map
+        is that of the original vertices; those left out have no match.
     model
         A `Model`, or what `load_model` takes.
     refine
@@ -48,13 +54,30 @@ def match(
     """
     model = model if isinstance(model, Model) else load_model(model)
     cache = default_cache() if cache is None else cache
-    meshes = as_mesh(source), as_mesh(target)
-    first, second = (recipe_spectrum(model.recipe, mesh, cache=cache) for mesh in meshes)
-    return match_embedded(
-        model.embed_spectrum(meshes[0], first),
-        model.embed_spectrum(meshes[1], second),
+    shapes = repair(source), repair(target)
+    first, second = (recipe_spectrum(model.recipe, each.shape, cache=cache) for each in shapes)
+    found = match_embedded(
+        model.embed_spectrum(shapes[0].shape, first),
+        model.embed_spectrum(shapes[1].shape, second),
         margin=model.margin,
         spectra=(first, second) if (model.is_oriented if refine is None else refine) else None,
+    )
+    for name, each in zip(("source", "target"), shapes, strict=True):
+        if each.in_a_line():
+            _log.warning("The %s has %s.", name, each.in_a_line())
+    return for_original_vertices(found, *shapes)
+
+
+def for_original_vertices(
+    match: Correspondence, source: Repaired, target: Repaired
+) -> Correspondence:
+    """The map between the original vertices, of one between repaired shapes."""
+    index = match.target_index[source.vertex_index]
+    matched = (source.vertex_index >= 0) & (index >= 0)
+    return Correspondence(
+        np.where(matched, target.original_index[index], -1),
+        np.where(matched, match.distance[source.vertex_index], np.inf),
+        np.where(matched, match.confidence[source.vertex_index], 0.0),
     )
 
 

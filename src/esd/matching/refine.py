@@ -22,7 +22,7 @@ def zoomout(
     *,
     sizes: Sequence[int] = SIZES,
     embeddings: tuple[FloatArray, FloatArray] | None = None,
-    weight: float = 0.6,
+    weight: float = 0.8,
     bijective: bool = False,
 ) -> IntArray:
     """The target vertex of each source vertex, (n,), refined with more and more eigenfunctions.
@@ -42,8 +42,9 @@ def zoomout(
     embeddings : (n, d) and (m, d), optional
         Of the vertices of the source and the target.
     weight
-        Of the embeddings: they are scaled so that two vertices at random are as far apart in them
-        as in the spectral rows, times this.
+        Of the embeddings: matched vertices are as far apart in them as in the spectral rows, times
+        this. So either counts the less the worse it fits the map; spectral rows fit the worse the
+        less the shapes are isometric.
     bijective
         Whether the map back is refined along with the map, each drawing on both, which takes twice
         the time.
@@ -65,27 +66,20 @@ def zoomout(
     used = [size for size in sizes if size < available]
     if len(used) < len(sizes):
         used.append(available)
-    beside = _scaled(embeddings, weight) if embeddings else None
-    back = _backwards(target_index, beside, len(target.mass)) if bijective else None
-    index = target_index
+    least = 1e-3 * np.sqrt(mean_squared_distance(*embeddings)) if embeddings is not None else 0.0
+    index, back = target_index, _backwards(target_index, len(target.mass))
     for size in used:
-        forward = spectral_rows(source, target, functional_map(source, target, index, size=size))
-        if back is None:
-            index = _nearest(*_joined([forward], beside, size))
-            continue
-        backward = spectral_rows(target, source, functional_map(target, source, back, size=size))
-        rows, candidates = _joined([forward, backward[::-1]], beside, size)
-        index, back = _nearest(rows, candidates), _nearest(candidates, rows)
+        rows = spectral_rows(source, target, functional_map(source, target, index, size=size))
+        if bijective:
+            functional = functional_map(target, source, back, size=size)
+            rows = _side_by_side(rows, spectral_rows(target, source, functional)[::-1], 1.0)
+        if embeddings is not None:
+            gap = max(_residual(*embeddings, index), least)
+            rows = _side_by_side(rows, embeddings, weight * _residual(*rows, index) / gap)
+        index = _nearest(*rows)
+        if bijective:
+            back = _nearest(*rows[::-1])
     return index
-
-
-def _scaled(
-    embeddings: tuple[FloatArray, FloatArray], weight: float
-) -> tuple[FloatArray, FloatArray]:
-    """The embeddings, with a mean squared distance of two vertices of 2 · weight²."""
-    source, target = embeddings
-    scale = weight * np.sqrt(2 / mean_squared_distance(source, target))
-    return source * scale, target * scale
 
 
 def mean_squared_distance(source: FloatArray, target: FloatArray) -> float:
@@ -95,28 +89,26 @@ def mean_squared_distance(source: FloatArray, target: FloatArray) -> float:
     return float(spread.sum())
 
 
-def _backwards(
-    target_index: IntArray, beside: tuple[FloatArray, FloatArray] | None, count: int
-) -> IntArray:
-    """A first map back: to the nearest embedding, or else to the last vertex that is mapped."""
-    if beside is not None:
-        return nearest(beside[1], beside[0])[0]
+def _backwards(target_index: IntArray, count: int) -> IntArray:
+    """For each target vertex the last source vertex that is mapped to it, or -1."""
     back = np.full(count, -1, dtype=np.int64)
     matched = np.flatnonzero(target_index >= 0)
     back[target_index[matched]] = matched
     return back
 
 
-def _joined(
-    rows: Sequence[tuple[FloatArray, FloatArray]],
-    beside: tuple[FloatArray, FloatArray] | None,
-    size: int,
+def _residual(source: FloatArray, target: FloatArray, target_index: IntArray) -> float:
+    """Root mean squared distance of the rows that are matched."""
+    matched = np.flatnonzero(target_index >= 0)
+    squares = ((source[matched] - target[target_index[matched]]) ** 2).sum(axis=1)
+    return float(np.sqrt(np.nanmean(squares)))
+
+
+def _side_by_side(
+    first: tuple[FloatArray, FloatArray], second: tuple[FloatArray, FloatArray], scale: float
 ) -> tuple[FloatArray, FloatArray]:
-    """All rows of the source side by side, and all of the target."""
-    parts = list(rows)
-    if beside is not None:
-        parts.append((beside[0] * np.sqrt(size), beside[1] * np.sqrt(size)))
-    source, target = (np.concatenate(side, axis=1) for side in zip(*parts, strict=True))
+    """Rows of the source, and of the target, of both kinds; the second times a scale."""
+    source, target = (np.hstack([a, scale * b]) for a, b in zip(first, second, strict=True))
     return source, target
 
 

@@ -3,18 +3,29 @@
 from __future__ import annotations
 
 import io
+import json
 import logging
 import os
+import struct
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
+import numpy.typing as npt
 
 from esd.common import InputError, IntArray, whole_file
 from esd.mesh.mesh import Mesh
 
 FORMATS = (".off", ".obj", ".ply", ".stl", ".glb", ".gltf")
 """Suffixes of the mesh files that are read and written."""
+
+POINT_FORMATS = (".xyz",)
+"""Suffixes of the files that hold points alone; `.ply` may, too."""
+
+_LARGEST_FILE = 2**32
+_MOST_VERTICES = 5 * 10**7  # of a scene with all its instances
 
 _log = logging.getLogger(__name__)
 
@@ -36,13 +47,42 @@ def read_mesh(path: str | os.PathLike[str]) -> Mesh:
     InputError
         If there is no such file, or no triangle mesh in it, or it is cut short.
     """
+    vertices, faces = read_arrays(path)
+    try:
+        return Mesh(vertices, faces)
+    except InputError as error:
+        raise InputError(f"'{path}': {error}") from error
+
+
+def read_arrays(path: str | os.PathLike[str]) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+    """Vertices (n, 3) and faces (m, 3) in a file, as they are.
+
+    Coordinates that are not finite and
+    indices beyond the last vertex are kept. Without faces, m is zero.
+
+    Parameters
+    ----------
+    path
+        A file with one of the suffixes in `FORMATS` or `POINT_FORMATS`. An XYZ file holds a
+        point a line, its first three numbers.
+
+    Raises
+    ------
+    InputError
+        If there is no such file, or nothing of the kind in it, or it is cut short.
+    """
     path = Path(path)
-    if path.suffix.lower() not in FORMATS:
-        raise InputError(f"'{path}' is not a mesh file; expected one of {', '.join(FORMATS)}.")
+    suffix = path.suffix.lower()
+    if suffix not in FORMATS + POINT_FORMATS:
+        known = ", ".join(FORMATS + POINT_FORMATS)
+        raise InputError(f"'{path}' is not a mesh file; expected one of {known}.")
     if not path.is_file():
         raise InputError(f"There is no file '{path}'.")
+    if path.stat().st_size > _LARGEST_FILE:
+        raise InputError(f"'{path}' is larger than 4 GiB; simplify the mesh first.")
+    read = {".obj": _read_obj, ".xyz": _read_xyz}.get(suffix, _read_by_trimesh)
     try:
-        mesh = _read_obj(path) if path.suffix.lower() == ".obj" else _read_by_trimesh(path)
+        return read(path)
     except OSError as error:
         raise InputError(f"'{path}' cannot be read: {error.strerror or error}.") from error
     except InputError as error:
@@ -50,7 +90,6 @@ def read_mesh(path: str | os.PathLike[str]) -> Mesh:
     except Exception as error:  # whatever a parser stumbles over is bad input
         kind = path.suffix[1:].upper()
         raise InputError(f"'{path}' cannot be read as {kind}: {error}") from error
-    return mesh
 
 
 def write_mesh(mesh: Mesh, path: str | os.PathLike[str]) -> None:
@@ -78,11 +117,18 @@ def write_mesh(mesh: Mesh, path: str | os.PathLike[str]) -> None:
         temporary.write_bytes(content if isinstance(content, bytes) else content.encode())
 
 
-def _read_by_trimesh(path: Path) -> Mesh:
+def _read_by_trimesh(path: Path) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
     import trimesh
 
     suffix = path.suffix.lower()
-    loaded = trimesh.load_mesh(path, process=False, skip_materials=True)
+    if suffix in (".glb", ".gltf"):
+        _check_scene(_scene_document(path))
+    scene = trimesh.load_scene(path, process=False, skip_materials=True)
+    clouds = [g for g in scene.geometry.values() if isinstance(g, trimesh.PointCloud)]
+    if clouds and len(clouds) == len(scene.geometry):
+        points = np.concatenate([np.asarray(cloud.vertices) for cloud in clouds])
+        return points, np.zeros((0, 3), dtype=np.int64)
+    loaded = scene.to_mesh()
     vertices, faces = np.asarray(loaded.vertices), np.asarray(loaded.faces)
     if suffix == ".stl" and len(vertices):
         _, first, inverse = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
@@ -95,8 +141,59 @@ def _read_by_trimesh(path: Path) -> Mesh:
         vertex_count, face_count = declared
         if len(vertices) != vertex_count and len(faces):
             raise InputError(f"it announces {vertex_count} vertices, {len(vertices)} were read.")
+        if len(faces) < face_count:
+            raise InputError(f"it announces {face_count} faces, {len(faces)} were read.")
         _tell_triangulation(path, face_count, len(faces))
-    return Mesh(vertices, faces)
+    return vertices, faces
+
+
+def _scene_document(path: Path) -> dict[str, Any]:
+    """The JSON document of a glTF file."""
+    content = path.read_bytes()
+    if path.suffix.lower() == ".glb":
+        magic, _, announced, length, kind = struct.unpack_from("<4sIII4s", content)
+        if magic != b"glTF" or kind != b"JSON" or not 20 + length <= announced <= len(content):
+            raise InputError("it is no GLB file, or cut short.")
+        content = content[20 : 20 + length]
+    document = json.loads(content)
+    if not isinstance(document, dict):
+        raise InputError("there is no scene in it.")
+    return document
+
+
+def _check_scene(document: dict[str, Any]) -> None:
+    """Raise an `InputError` if a glTF document asks for what its size does not warrant.
+
+    The library that reads it would follow nodes that repeat each other, fill arrays of any size
+    with zeros, and open any file that is named.
+    """
+    buffers, nodes = document.get("buffers", []), document.get("nodes", [])
+    for uri in (buffer.get("uri", "data:") for buffer in buffers):
+        name = unquote(str(uri))
+        outside = (
+            ":" in name or "\\" in name or Path(name).is_absolute() or ".." in Path(name).parts
+        )
+        if not name.startswith("data:") and outside:
+            raise InputError(f"it takes data from '{name}', which is not beside it.")
+    children = [child for node in nodes for child in node.get("children", [])]
+    roots = [root for scene in document.get("scenes", []) for root in set(scene.get("nodes", []))]
+    if len(set(children)) < len(children) or set(children) & set(roots):
+        raise InputError("its nodes are no tree: one has two parents.")
+    accessors = document.get("accessors", [])
+    counts = [
+        sum(
+            int(accessors[primitive["attributes"]["POSITION"]]["count"])
+            for primitive in mesh["primitives"]
+            if "POSITION" in primitive["attributes"]
+        )
+        for mesh in document.get("meshes", [])
+    ]
+    total = sum(counts[node["mesh"]] for node in nodes if "mesh" in node)
+    largest = max((int(accessor["count"]) for accessor in accessors), default=0)
+    if max(total, largest) > _MOST_VERTICES:
+        raise InputError(
+            f"it has {max(total, largest)} vertices; expected at most {_MOST_VERTICES}."
+        )
 
 
 def _declared_counts(path: Path) -> tuple[int, int] | None:
@@ -108,6 +205,9 @@ def _declared_counts(path: Path) -> tuple[int, int] | None:
         head = file.read(65536).decode("latin-1")
     if suffix == ".ply":
         words = [line.split() for line in head.split("end_header")[0].splitlines()]
+        form = next((word[1] for word in words if len(word) > 1 and word[0] == "format"), "none")
+        if form not in ("ascii", "binary_little_endian", "binary_big_endian"):
+            raise InputError(f"its format is '{form}', which PLY does not have.")
         counts = {word[1]: int(word[2]) for word in words if word[:1] == ["element"]}
         return counts.get("vertex", 0), counts.get("face", 0)
     lines = (line.split("#")[0] for line in head.splitlines())
@@ -122,7 +222,14 @@ def _tell_triangulation(path: Path, before: int, after: int) -> None:
         _log.warning("'%s': %d polygons were cut into %d triangles.", path, before, after)
 
 
-def _read_obj(path: Path) -> Mesh:
+def _read_xyz(path: Path) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+    points = np.loadtxt(path, ndmin=2, usecols=(0, 1, 2))
+    if len(points) == 0:
+        raise InputError("there are no points in it.")
+    return points, np.zeros((0, 3), dtype=np.int64)
+
+
+def _read_obj(path: Path) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
     """Read an OBJ file's positions and faces.
 
     Done here because the libraries split vertices along texture seams or drop those without a
@@ -146,7 +253,7 @@ def _read_obj(path: Path) -> Mesh:
             triangles += [(corners[0], b, c) for b, c in pairwise(corners[1:])]
     _tell_triangulation(path, face_count, len(triangles))
     faces: IntArray = np.array(triangles, dtype=np.int64).reshape(-1, 3)
-    return Mesh(vertices, faces)
+    return vertices, faces
 
 
 def _obj_index(corner: str, seen: int) -> int:

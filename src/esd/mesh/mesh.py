@@ -47,6 +47,27 @@ class Mesh:
         object.__setattr__(self, "faces", _checked_faces(self.faces, len(self.vertices)))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class PointCloud:
+    """Points of a surface whose triangles are not known.
+
+    Parameters
+    ----------
+    vertices : (n, 3) float64
+        Positions, in any unit of length. All finite. Copied and made read-only.
+
+    Raises
+    ------
+    InputError
+        If the shape, the type or a coordinate is not as described.
+    """
+
+    vertices: npt.NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "vertices", _checked_vertices(self.vertices))
+
+
 def _checked_vertices(vertices: npt.ArrayLike) -> npt.NDArray[np.float64]:
     try:
         array = np.array(vertices, dtype=np.float64, order="C")
@@ -106,10 +127,31 @@ def as_mesh(source: MeshLike) -> Mesh:
         from esd.mesh.files import read_mesh  # reading a mesh makes one: imported when called
 
         return read_mesh(Path(source))
+    return Mesh(*as_arrays(source))
+
+
+def as_arrays(source: MeshLike) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+    """Vertices (n, 3) and faces (m, 3) of whatever `as_mesh` takes, as they are: not yet checked.
+
+    A `PointCloud`, and a file without faces, have faces of shape (0, 3).
+
+    Raises
+    ------
+    InputError
+        If there are no vertices and faces in `source`.
+    """
+    if isinstance(source, Mesh):
+        return source.vertices, source.faces
+    if isinstance(source, PointCloud):
+        return source.vertices, np.zeros((0, 3), dtype=np.int64)
+    if isinstance(source, (str, os.PathLike)):
+        from esd.mesh.files import read_arrays  # reads by way of this module
+
+        return read_arrays(Path(source))
     if isinstance(source, tuple | list) and len(source) == 2:
-        return Mesh(*source)
+        return source[0], source[1]
     if hasattr(source, "vertices") and hasattr(source, "faces"):
-        return Mesh(np.asarray(source.vertices), np.asarray(source.faces))
+        return np.asarray(source.vertices), np.asarray(source.faces)
     if hasattr(source, "points") and hasattr(source, "cells_dict"):
         cells = source.cells_dict
         if "triangle" not in cells:
@@ -117,9 +159,9 @@ def as_mesh(source: MeshLike) -> Mesh:
                 f"The meshio mesh has no triangles, only {sorted(cells) or 'points'}; "
                 "triangulate it first."
             )
-        return Mesh(np.asarray(source.points), np.asarray(cells["triangle"]))
+        return np.asarray(source.points), np.asarray(cells["triangle"])
     if hasattr(source, "points") and hasattr(source, "faces"):
-        return Mesh(np.asarray(source.points), _pyvista_triangles(np.asarray(source.faces)))
+        return np.asarray(source.points), _pyvista_triangles(np.asarray(source.faces))
     raise InputError(
         "Expected a mesh: a path, (vertices, faces), or a trimesh, meshio or pyvista mesh; "
         f"got {type(source).__name__}."

@@ -48,12 +48,14 @@ class Cache:
         path = self._path(key)
         try:
             with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+                if sum(part.file_size for part in archive.zip.infolist()) > path.stat().st_size:
+                    raise ValueError("it is compressed, which entries are not")
                 arrays = dict(archive)
             os.utime(path)
             _log.info("Found in the cache: %s", path)
         except FileNotFoundError:
             return None
-        except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
+        except (OSError, ValueError, EOFError, KeyError, MemoryError, zipfile.BadZipFile) as error:
             _log.warning("The cache entry '%s' is damaged and is computed again: %s", path, error)
             try:
                 path.unlink(missing_ok=True)

@@ -7,18 +7,21 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from scipy import sparse
 
-from esd.common import FloatArray
-from esd.mesh.mesh import Mesh, edge_lengths, is_referenced, vertex_areas
+from esd.common import FloatArray, InputError
+from esd.mesh.mesh import Mesh, PointCloud, edge_lengths, is_referenced, vertex_areas
 
 SparseMatrix: TypeAlias = Any
 """A `scipy.sparse` array in compressed columns."""
 
 LaplacianKind: TypeAlias = Literal["cotangent", "robust"]
 
+_NEIGHBOURS = 30  # of a point, among which its piece of surface is triangulated
 _AREA_FLOOR = 1e-10  # of the mean face area; below it a cotangent is rounding error
 
 
-def laplacian(mesh: Mesh, *, kind: LaplacianKind = "cotangent") -> tuple[SparseMatrix, FloatArray]:
+def laplacian(
+    shape: Mesh | PointCloud, *, kind: LaplacianKind = "cotangent"
+) -> tuple[SparseMatrix, FloatArray]:
     """Stiffness (n, n) and lumped mass (n,) of the Laplace-Beltrami operator.
 
     The stiffness L is symmetric, positive semidefinite where the triangulation is Delaunay or the
@@ -27,17 +30,23 @@ def laplacian(mesh: Mesh, *, kind: LaplacianKind = "cotangent") -> tuple[SparseM
 
     Parameters
     ----------
-    mesh
-        Vertices without a face have zero rows and zero mass.
+    shape
+        Vertices without a face have zero rows and zero mass. Around each point of a cloud a piece
+        of surface is triangulated, and the result is always the robust one.
     kind
         `cotangent`: linear finite elements on the mesh as it is (Pinkall & Polthier 1993).
         `robust`: on an intrinsic Delaunay retriangulation of the tufted cover, for meshes with
         slivers or non-manifold edges (Sharp & Crane 2020), by the package robust-laplacian. The
         two differ on clean meshes as well.
+
+    Raises
+    ------
+    InputError
+        If the robust Laplacian cannot be built, as where points are too few or all on a line.
     """
-    if kind == "robust":
-        return _robust(mesh)
-    return stiffness(mesh), lumped_mass(mesh)
+    if isinstance(shape, PointCloud) or kind == "robust":
+        return _robust(shape)
+    return stiffness(shape), lumped_mass(shape)
 
 
 def stiffness(mesh: Mesh) -> SparseMatrix:
@@ -95,8 +104,16 @@ def _heron(lengths: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.maximum(product, 0)) / 4)
 
 
-def _robust(mesh: Mesh) -> tuple[SparseMatrix, FloatArray]:
+def _robust(shape: Mesh | PointCloud) -> tuple[SparseMatrix, FloatArray]:
     import robust_laplacian
 
-    matrix, mass = robust_laplacian.mesh_laplacian(mesh.vertices, mesh.faces)
+    try:
+        if isinstance(shape, Mesh):
+            found = robust_laplacian.mesh_laplacian(shape.vertices, shape.faces)
+        else:
+            neighbours = min(_NEIGHBOURS, len(shape.vertices) - 1)
+            found = robust_laplacian.point_cloud_laplacian(shape.vertices, n_neighbors=neighbours)
+    except (RuntimeError, ValueError) as error:
+        raise InputError(f"The robust Laplacian cannot be built: {error}.") from error
+    matrix, mass = found
     return sparse.csc_array(matrix), np.asarray(mass.diagonal())

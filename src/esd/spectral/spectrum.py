@@ -9,12 +9,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.sparse import csgraph
 
-from esd.common import FloatArray, InputError, whole_file
-from esd.mesh.mesh import Mesh, components, is_referenced, surface_area
+from esd.common import BoolArray, FloatArray, InputError, IntArray, whole_file
+from esd.mesh.mesh import Mesh, PointCloud, components, is_referenced, surface_area
 from esd.spectral.cache import Arrays, Cache, content_key
 from esd.spectral.eigensolver import eigenpairs
-from esd.spectral.laplacian import LaplacianKind, laplacian
+from esd.spectral.laplacian import LaplacianKind, SparseMatrix, laplacian
 
 _log = logging.getLogger(__name__)
 
@@ -58,6 +59,25 @@ class Spectrum:
             mass=self.mass * factor,
         )
 
+    def carried(self, vertex_index: IntArray) -> Spectrum:
+        """The spectrum at the vertices of a mesh that was repaired before it was computed.
+
+        Vertices that were joined share their mass evenly, so Φᵀ M Φ = I still holds where no
+        vertex of the repaired mesh was added.
+
+        Parameters
+        ----------
+        vertex_index : (n,)
+            The vertex here of each of the others; -1 for none, which has neither mass nor value.
+        """
+        kept = vertex_index >= 0
+        share = np.bincount(vertex_index[kept], minlength=len(self.mass))[vertex_index]
+        return replace(
+            self,
+            eigenvectors=np.where(kept[:, None], self.eigenvectors[vertex_index], 0.0),
+            mass=np.where(kept, self.mass[vertex_index] / np.maximum(share, 1), 0.0),
+        )
+
     def truncated(self, k: int) -> Spectrum:
         """The first k eigenpairs.
 
@@ -81,17 +101,21 @@ class Spectrum:
 
 
 def spectrum(
-    mesh: Mesh, k: int = 300, *, kind: LaplacianKind = "cotangent", cache: Cache | None = None
+    shape: Mesh | PointCloud,
+    k: int = 300,
+    *,
+    kind: LaplacianKind = "cotangent",
+    cache: Cache | None = None,
 ) -> Spectrum:
-    """The k smallest eigenpairs of a mesh's Laplace-Beltrami operator, for unit surface area.
+    """The k smallest eigenpairs of a shape's Laplace-Beltrami operator, for unit surface area.
 
     Scaling to unit area makes all that is computed from the result independent of the units of
     the mesh; `Spectrum.with_area` undoes it.
 
     Parameters
     ----------
-    mesh
-        Any number of components, with or without boundary.
+    shape
+        A mesh of any number of components, with or without boundary, or a point cloud.
     k
         Number of eigenpairs, the constant ones included.
     kind
@@ -104,9 +128,41 @@ def spectrum(
     InputError
         If the mesh has no area, or no more than k vertices or too many components for k.
     """
-    referenced = is_referenced(mesh)
-    zero_modes = int(components(mesh).max()) + 1
-    size = int(referenced.sum())
+    if isinstance(shape, PointCloud):
+        return _cloud_spectrum(shape, k, cache)
+    referenced = is_referenced(shape)
+    zero_modes = int(components(shape).max()) + 1
+    _check_count(k, int(referenced.sum()), zero_modes)
+
+    def compute() -> Arrays:
+        if not surface_area(shape) > 0:
+            raise InputError("The mesh has no area: all its faces are degenerate.")
+        matrix, mass = laplacian(shape, kind=kind)
+        return _solved(matrix, mass, k, referenced, zero_modes)
+
+    parameters = {"k": k, "kind": kind, "solver": _SOLVER_VERSION}
+    key = content_key("spectrum", shape.vertices, shape.faces, **parameters)
+    arrays = compute() if cache is None else cache.computed(key, compute)
+    return Spectrum(**arrays, zero_modes=zero_modes)
+
+
+def _cloud_spectrum(cloud: PointCloud, k: int, cache: Cache | None) -> Spectrum:
+    """As `spectrum`; points are connected where the pieces of surface around them overlap."""
+    _check_count(k, len(cloud.vertices), 1)
+
+    def compute() -> Arrays:
+        matrix, mass = laplacian(cloud)
+        zero_modes = int(csgraph.connected_components(matrix, directed=False)[0])
+        used = np.ones(len(mass), dtype=bool)
+        _check_count(k, len(mass), zero_modes)
+        return _solved(matrix, mass, k, used, zero_modes)
+
+    key = content_key("points", cloud.vertices, k=k, solver=_SOLVER_VERSION)
+    arrays = compute() if cache is None else cache.computed(key, compute)
+    return Spectrum(**arrays, zero_modes=int((arrays["eigenvalues"] == 0).sum()))
+
+
+def _check_count(k: int, size: int, zero_modes: int) -> None:
     if not zero_modes < k <= size:
         raise InputError(
             f"{k} eigenpairs were asked for; this mesh of {size} connected vertices in "
@@ -114,26 +170,20 @@ def spectrum(
             "Ask for another number, or refine or repair the mesh."
         )
 
-    def compute() -> Arrays:
-        if not surface_area(mesh) > 0:
-            raise InputError("The mesh has no area: all its faces are degenerate.")
-        matrix, mass = laplacian(mesh, kind=kind)
-        area = mass.sum()
-        start = time.perf_counter()
-        solution = eigenpairs(matrix[referenced][:, referenced], mass[referenced] / area, k)
-        seconds = time.perf_counter() - start
-        _log.info("%d eigenpairs of %d vertices were computed in %.1f s.", k, size, seconds)
-        eigenvectors = np.zeros((len(mesh.vertices), k))
-        eigenvectors[referenced] = solution.eigenvectors
-        eigenvalues = solution.eigenvalues.copy()
-        eigenvalues[:zero_modes] = 0.0
-        return {"eigenvalues": eigenvalues, "eigenvectors": eigenvectors, "mass": mass / area}
 
-    if cache is None:
-        return Spectrum(**compute(), zero_modes=zero_modes)
-    parameters = {"k": k, "kind": kind, "solver": _SOLVER_VERSION}
-    key = content_key("spectrum", mesh.vertices, mesh.faces, **parameters)
-    return Spectrum(**cache.computed(key, compute), zero_modes=zero_modes)
+def _solved(
+    matrix: SparseMatrix, mass: FloatArray, k: int, used: BoolArray, zero_modes: int
+) -> Arrays:
+    area = mass.sum()
+    start = time.perf_counter()
+    solution = eigenpairs(matrix[used][:, used], mass[used] / area, k)
+    seconds = time.perf_counter() - start
+    _log.info("%d eigenpairs of %d vertices were computed in %.1f s.", k, used.sum(), seconds)
+    eigenvectors = np.zeros((len(mass), k))
+    eigenvectors[used] = solution.eigenvectors
+    eigenvalues = solution.eigenvalues.copy()
+    eigenvalues[:zero_modes] = 0.0
+    return {"eigenvalues": eigenvalues, "eigenvectors": eigenvectors, "mass": mass / area}
 
 
 def check_spectrum_path(path: str | os.PathLike[str]) -> Path:

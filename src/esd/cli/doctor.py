@@ -1,0 +1,119 @@
+"""`esd doctor`."""
+
+from __future__ import annotations
+
+import json
+import logging
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from esd.mesh.doctor import Repaired
+
+
+def doctor(
+    mesh: Annotated[Path, typer.Argument(help="A mesh file, or one of points.")],
+    repair: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="OUT",
+            help="Write the repaired mesh here, and beside it OUT.map.csv, the repaired vertex of "
+            "each vertex of MESH.",
+        ),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the findings as JSON.")] = False,
+) -> None:
+    """Tell what is wrong with MESH, how bad it is, what it does to results, what can be done."""
+    from esd.common import InputError
+    from esd.mesh.doctor import can_find_self_intersections, diagnose
+    from esd.mesh.doctor import repair as repaired
+    from esd.mesh.files import write_mesh
+    from esd.mesh.mesh import Mesh, as_arrays
+
+    arrays = as_arrays(mesh)
+    diagnosis = diagnose(arrays)
+    findings = [
+        {
+            "kind": finding.kind,
+            "what": finding.what,
+            "count": finding.count,
+            "share": finding.share,
+            "first": finding.first,
+            "severity": finding.severity,
+            "effect": finding.effect,
+            "remedy": finding.remedy,
+            "always_repaired": finding.always_repaired,
+        }
+        for finding in diagnosis.findings
+    ]
+    summary = {
+        "mesh": str(mesh),
+        "vertices": diagnosis.vertices,
+        "faces": diagnosis.faces,
+        "size": diagnosis.size,
+        "severity": diagnosis.severity,
+        "findings": findings,
+        "self_intersections_checked": can_find_self_intersections() and diagnosis.faces > 0,
+    }
+    if not as_json:
+        kind = f"{diagnosis.faces} faces" if diagnosis.faces else "no faces: a point cloud"
+        typer.echo(
+            f"{mesh}: {diagnosis.vertices} vertices, {kind}; size {diagnosis.size:.4g} "
+            "(no matter: shapes are scaled to unit area)"
+        )
+        for finding in findings:
+            when = "always" if finding["always_repaired"] else "with --repair"
+            typer.echo(f"  {finding['severity']:8}  {finding['what']}")
+            typer.echo(f"            {finding['effect']}")
+            typer.echo(f"            Remedy, {when}: {finding['remedy']}.")
+        if not findings:
+            typer.echo("  nothing wrong")
+        if not summary["self_intersections_checked"] and diagnosis.faces:
+            typer.echo(
+                "  Faces that cut through each other are found with pip install 'esd[doctor]'."
+            )
+    if repair is not None:
+        done = repaired(arrays, everything=True).compacted()
+        if not isinstance(done.shape, Mesh):
+            raise InputError("Points cannot be written as a mesh; match takes them as they are.")
+        write_mesh(done.shape, repair)
+        map_path = repair.with_name(repair.name + ".map.csv")
+        _save_index_map(done, map_path)
+        kept = int((done.vertex_index >= 0).sum())
+        summary["repaired"] = {
+            "mesh": str(repair),
+            "map": str(map_path),
+            "vertices": len(done.shape.vertices),
+            "faces": len(done.shape.faces),
+            "carried_over": kept,
+        }
+        if not as_json:
+            typer.echo(
+                f"Repaired: {len(done.shape.vertices)} vertices, {kept} of "
+                f"{diagnosis.vertices} carried over; {repair}, {map_path}"
+            )
+    if as_json:
+        typer.echo(json.dumps(summary))
+
+
+def _save_index_map(repaired: Repaired, path: Path) -> None:
+    """Write which vertex became which as a map, which `esd.load_map` reads."""
+    import numpy as np
+
+    from esd.matching.correspondence import Correspondence, save_map
+
+    kept = repaired.vertex_index >= 0
+    save_map(
+        Correspondence(
+            repaired.vertex_index, np.where(kept, 0.0, np.inf), np.where(kept, 1.0, 0.0)
+        ),
+        path,
+    )
+
+
+def tell_findings(path: Path, repaired: Repaired) -> None:
+    """Say in one line what was wrong with a file, if anything was."""
+    if repaired.in_a_line():
+        logging.getLogger(__name__).warning("'%s' has %s.", path, repaired.in_a_line())

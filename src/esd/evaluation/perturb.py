@@ -1,0 +1,252 @@
+"""Noise of known strength: meshes disturbed in position or connectivity, with exact index maps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.distance import cdist
+
+from esd.common import FloatArray, InputError, IntArray
+from esd.mesh.geodesics import geodesic_graph
+from esd.mesh.mesh import (
+    Mesh,
+    edge_lengths,
+    edges,
+    face_areas,
+    is_referenced,
+    surface_area,
+    vertex_normals,
+)
+from esd.mesh.topology import is_collapsed, is_repeated, largest_piece, sides_of
+
+_HOLES = 10
+_APART = 0.3  # least distance along the surface of what is welded, in units of √area
+_CHUNK = 256
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Perturbed:
+    """A disturbed mesh, and which vertex became which.
+
+    Parameters
+    ----------
+    mesh
+        All of its vertices have a face.
+    vertex_index : (n,)
+        The vertex here of each vertex of the original; -1 where it is gone.
+    """
+
+    mesh: Mesh
+    vertex_index: IntArray
+
+
+def geometric_noise(mesh: Mesh, level: float, *, seed: int = 0) -> Perturbed:
+    """The mesh with each vertex moved along its normal by Gaussian noise.
+
+    Parameters
+    ----------
+    level
+        Standard deviation in units of the mean edge length.
+
+    Raises
+    ------
+    InputError
+        If the level is negative.
+    """
+    _check_level(level, np.inf)
+    generator = np.random.default_rng(seed)
+    step = level * edge_lengths(mesh).mean() * generator.standard_normal((len(mesh.vertices), 1))
+    return _compact(Mesh(mesh.vertices + step * vertex_normals(mesh), mesh.faces))
+
+
+def holes(mesh: Mesh, level: float, *, seed: int = 0) -> Perturbed:
+    """The mesh with ten holes, discs around random points; only the largest piece is kept.
+
+    Parameters
+    ----------
+    level
+        Share of the area that the discs have together where they do not overlap.
+
+    Raises
+    ------
+    InputError
+        If the level is not from 0 to below 1.
+    """
+    _check_level(level, 1)
+    area = face_areas(mesh)
+    generator = np.random.default_rng(seed)
+    centres = generator.choice(len(area), size=_HOLES, p=area / area.sum())
+    distance = geodesic_graph(mesh).distances(mesh.faces[centres, 0])
+    keep = np.ones(len(area), dtype=bool)
+    for row in distance:
+        order = np.argsort(row[mesh.faces].mean(axis=1))
+        inside = np.cumsum(area[order]) <= level / _HOLES * area.sum()
+        keep[order[inside]] = False
+    return _with_faces(mesh, keep)
+
+
+def edge_flips(mesh: Mesh, level: float, *, seed: int = 0) -> Perturbed:
+    """The mesh with random edges turned within the two faces they have.
+
+    An edge is left where its turn would double another edge. No face is touched twice.
+
+    Parameters
+    ----------
+    level
+        Share of the faces that change.
+
+    Raises
+    ------
+    InputError
+        If the level is not from 0 to below 1.
+    """
+    _check_level(level, 1)
+    sides = sides_of(mesh)
+    here = np.flatnonzero(sides.next & (sides.count == 2))
+    here = here[sides.start[here] == sides.end[here + 1]]  # only where both faces wind alike
+    known = {tuple(edge) for edge in edges(mesh).tolist()}
+    faces = mesh.faces.copy()
+    touched = np.zeros(len(faces), dtype=bool)
+    wanted = level * len(faces)
+    for side in np.random.default_rng(seed).permutation(here):
+        if touched.sum() + 2 > wanted:
+            break
+        f, g = sides.face[side], sides.face[side + 1]
+        a, b = sides.start[side], sides.end[side]
+        c, d = faces[f].sum() - a - b, faces[g].sum() - a - b
+        turned = (min(c, d), max(c, d))
+        if touched[f] or touched[g] or c == d or turned in known:
+            continue
+        known.add(turned)
+        faces[f], faces[g] = (c, a, d), (d, b, c)
+        touched[[f, g]] = True
+    return _compact(Mesh(mesh.vertices, faces))
+
+
+def short_circuits(mesh: Mesh, level: float, *, seed: int = 0) -> Perturbed:
+    """The mesh with parts welded that are near in space and far along the surface.
+
+    Starting from random places among the nearest tenth, vertices are welded with those opposite, as
+    where a scanner took touching limbs for one surface.
+
+    Parameters
+    ----------
+    level
+        Share of the faces that have a welded vertex.
+
+    Raises
+    ------
+    InputError
+        If the level is not from 0 to below 1.
+    """
+    _check_level(level, 1)
+    pairs = _near_and_far(mesh)
+    first = len(pairs) // 10 + 1
+    generator = np.random.default_rng(seed)
+    pairs = np.concatenate([generator.permutation(pairs[:first]), pairs[first:]])
+    representative = np.arange(len(mesh.vertices), dtype=np.int64)
+    degree = np.bincount(mesh.faces.ravel(), minlength=len(mesh.vertices))
+    welded = np.zeros(len(mesh.vertices), dtype=bool)
+    changed = 0
+    for i, j in pairs.tolist():
+        if changed >= level * len(mesh.faces):
+            break
+        if welded[i] or welded[j]:
+            continue
+        welded[[i, j]] = True
+        representative[j] = i
+        changed += degree[i] + degree[j]
+    vertices = mesh.vertices.copy()
+    gone = representative != np.arange(len(representative))
+    vertices[representative[gone]] += mesh.vertices[gone]
+    vertices[representative[gone]] /= 2
+    faces = representative[mesh.faces]
+    faces = faces[~(is_collapsed(faces) | is_repeated(faces))]
+    result = _compact(Mesh(vertices, faces))
+    return Perturbed(result.mesh, result.vertex_index[representative])
+
+
+def plane_cut(mesh: Mesh, level: float, *, seed: int = 0) -> Perturbed:
+    """The part of a mesh on one side of a plane of random direction; its largest piece.
+
+    Parameters
+    ----------
+    level
+        Share of the area that is cut off.
+
+    Raises
+    ------
+    InputError
+        If the level is not from 0 to below 1.
+    """
+    _check_level(level, 1)
+    direction = np.random.default_rng(seed).standard_normal(3)
+    height = mesh.vertices[mesh.faces].mean(axis=1) @ direction
+    order = np.argsort(height)
+    area = face_areas(mesh)
+    keep = np.ones(len(height), dtype=bool)
+    keep[order[np.cumsum(area[order]) <= level * area.sum()]] = False
+    return _with_faces(mesh, keep)
+
+
+@dataclass(frozen=True, slots=True)
+class Perturbation:
+    """A kind of noise: its function, its graded levels, and what they measure."""
+
+    disturb: Callable[..., Perturbed]
+    levels: tuple[float, ...]
+    unit: str
+
+
+PERTURBATIONS = {
+    "positions": Perturbation(geometric_noise, (0.1, 0.2, 0.4, 0.7, 1.0), "σ / mean edge length"),
+    "holes": Perturbation(holes, (0.02, 0.05, 0.1, 0.2, 0.3), "share of the area cut out"),
+    "flips": Perturbation(edge_flips, (0.05, 0.1, 0.2, 0.35, 0.5), "share of the faces"),
+    "short circuits": Perturbation(
+        short_circuits, (0.002, 0.005, 0.01, 0.02, 0.05), "share of the faces"
+    ),
+    "cut": Perturbation(plane_cut, (0.05, 0.1, 0.2, 0.35, 0.5), "share of the area cut off"),
+}
+"""The paper names noise in position and connectivity, and no levels; these are ours."""
+
+
+def _check_level(level: float, below: float) -> None:
+    if not 0 <= level < below:
+        raise InputError(f"`level` must be from 0 to below {below}; got {level}.")
+
+
+def _with_faces(mesh: Mesh, keep: FloatArray) -> Perturbed:
+    return _compact(largest_piece(Mesh(mesh.vertices, mesh.faces[keep])))
+
+
+def _compact(mesh: Mesh) -> Perturbed:
+    used = is_referenced(mesh)
+    index = np.where(used, np.cumsum(used) - 1, -1)
+    return Perturbed(Mesh(mesh.vertices[used], index[mesh.faces]), index)
+
+
+def _near_and_far(mesh: Mesh) -> IntArray:
+    """Each vertex with the nearest in space of those far along the surface, (p, 2), nearest first.
+
+    Raises
+    ------
+    InputError
+        If nothing is far along the surface.
+    """
+    graph = geodesic_graph(mesh)
+    limit = _APART * surface_area(mesh) ** 0.5
+    used = np.flatnonzero(is_referenced(mesh))
+    pairs, reach = [], []
+    for start in range(0, len(used), _CHUNK):
+        rows = used[start : start + _CHUNK]
+        far = np.isinf(graph.distances(rows, limit=limit)[:, used])
+        distance = np.where(far, cdist(mesh.vertices[rows], mesh.vertices[used]), np.inf)
+        pairs.append(np.stack([rows, used[distance.argmin(axis=1)]], axis=1))
+        reach.append(distance.min(axis=1))
+    nearest = np.concatenate(reach)
+    order = np.argsort(nearest, kind="stable")[: int(np.isfinite(nearest).sum())]
+    if len(order) == 0:
+        raise InputError("No two parts of this mesh are far from each other along the surface.")
+    return np.concatenate(pairs)[order]

@@ -1,0 +1,406 @@
+"""What is wrong with a mesh, what that does to results, and repairs that remember the original.
+
+Scans have holes, flipped faces, loose pieces and worse. `diagnose` names what it finds; `repair`
+mends it and says which vertex became which, so that descriptors and maps computed on the repaired
+mesh come back for the original vertices.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from esd.common import BoolArray, FloatArray, InputError, IntArray
+from esd.mesh.findings import FEW_VERTICES, SMALL_HOLE, Diagnosis, Finding
+from esd.mesh.mesh import (
+    Mesh,
+    MeshLike,
+    PointCloud,
+    as_arrays,
+    face_areas,
+    face_normals,
+    is_referenced,
+    surface_area,
+)
+from esd.mesh.topology import (
+    Sides,
+    cut_apart,
+    fan_count,
+    holes_filled,
+    is_collapsed,
+    is_inward,
+    is_repeated,
+    largest_piece,
+    patches,
+    piece_of_faces,
+    quality,
+    rims,
+    seam_partners,
+    sides_of,
+    turned_outward,
+    with_turned,
+    without_repeats,
+)
+
+_SLIVER = 0.02  # quality 4 √3 area / Σ side²; one for equal sides, here an angle of about a degree
+_FOLDED = 0.03  # share of the edges; up to half of that is ordinary in toes and ears
+_FAR = 1e5  # sizes of the shape away from the origin, beyond which single precision lost its form
+_LARGEST, _SMALLEST = 1e75, 1e-75  # sizes whose fourth power is still a number
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Repaired:
+    """A repaired shape, and which vertex became which.
+
+    Parameters
+    ----------
+    shape
+        A `Mesh`, or a `PointCloud` where there were no faces.
+    vertex_index : (n,)
+        The repaired vertex of each original one; -1 where it could not be carried over.
+    original_index : (r,)
+        The original vertex of each repaired one, for those that fill a hole one on its rim.
+    diagnosis
+        What was found by the quick diagnosis.
+    done
+        Kinds of the findings that were repaired.
+    """
+
+    shape: Mesh | PointCloud
+    vertex_index: IntArray
+    original_index: IntArray
+    diagnosis: Diagnosis
+    done: frozenset[str] = frozenset()
+
+    def in_a_line(self) -> str:
+        """What was found, and what was done about it, in one line; empty if nothing was."""
+        return ", ".join(
+            finding.what + (f" ({finding.remedy})" if finding.kind in self.done else "")
+            for finding in self.diagnosis.findings
+        )
+
+    def carried_back(self, values: FloatArray) -> FloatArray:
+        """Values at the original vertices, (n, …), of values at the repaired ones, (r, …).
+
+        NaN at vertices that could not be carried over.
+        """
+        result = np.full((len(self.vertex_index), *values.shape[1:]), np.nan)
+        kept = self.vertex_index >= 0
+        result[kept] = values[self.vertex_index[kept]]
+        return result
+
+    def compacted(self) -> Repaired:
+        """The same without vertices that have no face."""
+        if isinstance(self.shape, PointCloud):
+            return self
+        used = is_referenced(self.shape)
+        rank = np.where(used, np.cumsum(used) - 1, -1)
+        index = np.where(self.vertex_index >= 0, rank[self.vertex_index], -1)
+        mesh = Mesh(self.shape.vertices[used], rank[self.shape.faces])
+        return replace(
+            self, shape=mesh, vertex_index=index, original_index=self.original_index[used]
+        )
+
+
+def diagnose(source: MeshLike, *, thorough: bool = True) -> Diagnosis:
+    """What is wrong with a mesh or a point cloud.
+
+    Parameters
+    ----------
+    source
+        What `as_mesh` takes, or points without faces; it need not be a mesh that `Mesh` accepts.
+    thorough
+        Whether faces that cut through each other are looked for, by CGAL through libigl where
+        that is installed.
+
+    Raises
+    ------
+    InputError
+        If there are no vertices and faces in `source`.
+    """
+    vertices, faces = _loose_arrays(source)
+    counts = len(vertices), len(faces)
+    if counts[1] == 0:
+        findings, patient = _examine_points(vertices)
+        return Diagnosis(*counts, _size(patient), tuple(findings))
+    findings, mesh = _sound(vertices, faces)
+    if mesh is None:
+        return Diagnosis(*counts, 0.0, tuple(findings))
+    findings += _examine(mesh)
+    if thorough:
+        findings += _self_intersections(mesh)
+    scale = _scale(vertices[_is_finite(vertices)])
+    size = _size(mesh.vertices[is_referenced(mesh)]) * scale
+    return Diagnosis(*counts, size, tuple(findings))
+
+
+def repair(
+    source: MeshLike | Repaired, *, everything: bool = False, all_pieces: bool = False
+) -> Repaired:
+    """A shape without what could be repaired, and which vertex became which.
+
+    A mesh with nothing to repair comes back as it is. The first vertices of a repaired mesh are
+    the original ones in their order; those that had to go are left without a face. Vertices at
+    which sheets were cut apart keep their place on the larger sheet. Repairs of a point cloud
+    leave points out.
+
+    Parameters
+    ----------
+    source
+        What `as_mesh` takes, or points without faces; what was repaired before stays as it is.
+    everything
+        Whether also what may change a sound part of the shape is done: cutting sheets apart along
+        edges of more than two faces, filling small holes, leaving out faces of which a vertex is
+        missing.
+    all_pieces
+        Whether all connected pieces are kept, and not only the one with the largest area.
+
+    Raises
+    ------
+    InputError
+        If nothing usable is left.
+    """
+    if isinstance(source, Repaired):
+        return source
+    vertices, faces = _loose_arrays(source)
+    if len(faces) == 0:
+        return _repaired_points(vertices)
+    finite = _is_finite(vertices)
+    if not everything:
+        Mesh(np.where(finite[:, None], vertices, 0.0), faces)  # refuses a damaged list of faces
+    diagnosis = diagnose((vertices, faces), thorough=False)
+    _, mesh = _sound(vertices, faces)
+    if mesh is None or not surface_area(mesh) > 0:
+        raise InputError(f"Nothing of the mesh can be used: {diagnosis.in_a_line()}.")
+    done = {f.kind for f in diagnosis.findings if f.always_repaired or everything}
+    if all_pieces:
+        done.discard("loose_pieces")
+    original = np.arange(len(vertices), dtype=np.int64)
+    index = np.where(finite, original, -1)
+    if "duplicate_vertices" in done:
+        first = seam_partners(mesh)
+        mesh, index = replace(mesh, faces=first[mesh.faces]), np.where(finite, first, -1)
+    mesh = without_repeats(mesh)
+    if everything or "non_manifold_vertices" in done:
+        mesh, original = cut_apart(mesh, at_edges=everything)
+    mesh = turned_outward(mesh)
+    if everything:
+        mesh, on_rim = holes_filled(mesh, shorter_than=SMALL_HOLE)
+        original = np.concatenate([original, original[on_rim]])
+    if not all_pieces:
+        mesh = largest_piece(mesh)
+    index = np.where(is_referenced(mesh)[index], index, -1)
+    if done <= {"unreferenced_vertices"}:
+        mesh = Mesh(vertices, faces)  # the very same, and so known to the caches
+    return Repaired(mesh, index, original, diagnosis, frozenset(done))
+
+
+def _loose_arrays(source: MeshLike) -> tuple[npt.NDArray[np.float64], IntArray]:
+    """Vertices and faces of the right shapes and types, whatever their values."""
+    vertices, faces = as_arrays(source)
+    try:
+        vertices = np.array(vertices, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"`vertices` must be numbers of shape (n, 3): {error}") from error
+    faces = np.asarray(faces)
+    for name, array, letter in (("vertices", vertices, "n"), ("faces", faces, "m")):
+        if array.ndim != 2 or array.shape[1] != 3:
+            raise InputError(f"`{name}` must have shape ({letter}, 3); got {array.shape}.")
+    if faces.dtype.kind not in "iu":
+        raise InputError(f"`faces` must be integers; got {faces.dtype}.")
+    return vertices, faces.astype(np.int64)
+
+
+def _sound(vertices: npt.NDArray[np.float64], faces: IntArray) -> tuple[list[Finding], Mesh | None]:
+    """What keeps arrays from being a mesh that can be computed with, and the mesh of the rest."""
+    findings = []
+    finite = _is_finite(vertices)
+    findings += _found("non_finite_vertices", ~finite)
+    named = ((faces >= 0) & (faces < len(vertices))).all(axis=1)
+    findings += _found("missing_vertices", ~named)
+    usable = faces[named]
+    usable = usable[finite[usable].all(axis=1)]
+    if len(usable) == 0:
+        return findings, None
+    middle, scale = _middle(vertices[finite]), _scale(vertices[finite])
+    size = _size(vertices[finite] / scale)
+    if scale != 1 or (size > 0 and np.abs(middle).max() > _FAR * size):
+        findings.append(Finding("extreme_coordinates", 1, 1.0))
+        vertices = vertices / scale - middle / scale
+    return findings, Mesh(np.where(finite[:, None], vertices, 0.0), usable)
+
+
+def _is_finite(vertices: npt.NDArray[np.float64]) -> BoolArray:
+    return np.asarray(np.isfinite(vertices).all(axis=1))
+
+
+def _found(kind: str, where: Any, *, of: int | None = None) -> list[Finding]:
+    """The finding of a kind where it holds, if it does anywhere; its share is `of` all."""
+    index = np.flatnonzero(where)
+    if len(index) == 0:
+        return []
+    return [Finding(kind, len(index), len(index) / (of or len(where)), int(index[0]))]
+
+
+def _middle(points: FloatArray) -> FloatArray:
+    return points.min(axis=0) / 2 + points.max(axis=0) / 2 if len(points) else np.zeros(3)
+
+
+def _size(points: FloatArray) -> float:
+    """Diagonal of the bounding box, without overflow."""
+    if len(points) == 0:
+        return 0.0
+    return float(2 * np.hypot.reduce(points.max(axis=0) / 2 - points.min(axis=0) / 2))
+
+
+def _scale(points: FloatArray) -> float:
+    """What to divide by so that lengths can be squared: one for any ordinary shape."""
+    if len(points) == 0:
+        return 1.0
+    largest = float(np.abs(points).max())
+    size = _size(points)
+    ordinary = largest <= _LARGEST and (size >= _SMALLEST or size == 0)
+    return 1.0 if ordinary else max(largest, np.finfo(float).tiny)
+
+
+def _examine(mesh: Mesh) -> list[Finding]:
+    """What is wrong with the surface of a mesh."""
+    findings = []
+    used = is_referenced(mesh)
+    findings += _found("unreferenced_vertices", ~used)
+    first = seam_partners(mesh)
+    findings += _found("duplicate_vertices", first != np.arange(len(used)))
+    collapsed, repeated = is_collapsed(mesh.faces), is_repeated(mesh.faces)
+    findings += _found("collapsed_faces", collapsed)
+    findings += _found("duplicate_faces", repeated & ~collapsed)
+    if not surface_area(mesh) > 0:
+        return [*findings, Finding("flat_meshes", 1, 1.0)]
+    # what follows is that of the surface that is computed on
+    mesh = without_repeats(replace(mesh, faces=first[mesh.faces]))
+    findings += _found("slivers", quality(mesh) < _SLIVER)
+    sides = sides_of(mesh)
+    crowded = (sides.count > 2) & ~sides.next
+    edge_count = int((~sides.next).sum())
+    for finding in _found("non_manifold_edges", crowded, of=edge_count):
+        findings.append(replace(finding, first=int(sides.start[finding.first or 0])))
+    touching = _found("non_manifold_vertices", fan_count(mesh, sides) > 1)
+    findings += touching
+    turned, label, one_sided = patches(mesh, sides)
+    pair = np.flatnonzero(sides.next & (sides.count == 2))
+    alike = sides.start[pair] == sides.start[pair + 1]
+    if alike.any():
+        vertex = int(sides.start[pair[alike][0]])
+        findings.append(
+            Finding("inconsistent_winding", int(alike.sum()), alike.sum() / edge_count, vertex)
+        )
+    if one_sided.any():
+        share = face_areas(mesh)[one_sided[label]].sum() / max(surface_area(mesh), 1e-300)
+        findings.append(Finding("one_sided_pieces", int(one_sided.sum()), float(share)))
+    mesh = with_turned(mesh, turned)
+    findings += _folded(mesh, sides, pair)
+    inward = is_inward(mesh, sides, label)
+    if inward.any():
+        findings.append(Finding("inside_out_pieces", int(inward.sum()), float(inward.mean())))
+    findings += _holes(mesh, sides)
+    findings += _pieces(cut_apart(mesh, at_edges=False)[0] if touching else mesh)
+    return findings
+
+
+def _folded(mesh: Mesh, sides: Sides, pair: IntArray) -> list[Finding]:
+    """Edges, given as the first of their two sides, whose faces turn by more than a right angle."""
+    normals = face_normals(mesh)
+    f, g = sides.face[pair], sides.face[pair + 1]
+    back = np.einsum("ij,ij->i", normals[f], normals[g]) < 0
+    if back.mean() < _FOLDED if len(back) else True:
+        return []
+    vertex = int(sides.start[pair[back][0]])
+    return [Finding("folded_edges", int(back.sum()), float(back.mean()), vertex)]
+
+
+def _holes(mesh: Mesh, sides: Sides) -> list[Finding]:
+    rim, length = rims(mesh, sides)
+    if len(length) == 0:
+        return []
+    root = max(surface_area(mesh) ** 0.5, np.finfo(float).tiny)
+    return [Finding("holes", len(length), float(length.max() / root), int(rim[0, 0]))]
+
+
+def _pieces(mesh: Mesh) -> list[Finding]:
+    label = piece_of_faces(mesh)
+    area = np.bincount(label, weights=face_areas(mesh))
+    findings = []
+    if len(area) > 1:
+        share = 1 - area[0] / max(area.sum(), np.finfo(float).tiny)
+        first = int(mesh.faces[label > 0][0, 0])
+        findings.append(Finding("loose_pieces", len(area) - 1, float(share), first))
+    count = len(np.unique(mesh.faces[label == 0]))
+    if count < FEW_VERTICES:
+        findings.append(Finding("few_vertices", 1, 1 - count / FEW_VERTICES))
+    return findings
+
+
+def _self_intersections(mesh: Mesh) -> list[Finding]:
+    try:
+        from igl.copyleft import cgal
+    except ImportError:
+        return []
+    faces = mesh.faces[~is_collapsed(mesh.faces) & (face_areas(mesh) > 0)]
+    if len(faces) == 0:
+        return []
+    pairs = cgal.remesh_self_intersections(np.array(mesh.vertices), faces, detect_only=True)[2]
+    if len(pairs) == 0:
+        return []
+    return [
+        Finding(
+            "self_intersections",
+            len(pairs),
+            len(np.unique(pairs)) / len(mesh.faces),
+            int(faces[pairs[0, 0], 0]),
+        )
+    ]
+
+
+def can_find_self_intersections() -> bool:
+    """Whether libigl, which finds faces that cut through each other, is installed."""
+    from importlib.util import find_spec
+
+    return find_spec("igl") is not None
+
+
+def _examine_points(
+    vertices: npt.NDArray[np.float64],
+) -> tuple[list[Finding], npt.NDArray[np.float64]]:
+    """What is wrong with points, and those that are finite, once each, in their order."""
+    finite = _is_finite(vertices)
+    findings = _found("non_finite_vertices", ~finite)
+    points = vertices[finite] + 0.0
+    _, first = np.unique(points, axis=0, return_index=True)
+    repeated = np.ones(len(points), dtype=bool)
+    repeated[first] = False
+    findings += _found("duplicate_vertices", repeated, of=len(vertices))
+    if len(first) < FEW_VERTICES:
+        findings.append(Finding("few_vertices", 1, 1 - len(first) / FEW_VERTICES))
+    return findings, points[np.sort(first)]
+
+
+def _repaired_points(vertices: npt.NDArray[np.float64]) -> Repaired:
+    findings, points = _examine_points(vertices)
+    diagnosis = Diagnosis(len(vertices), 0, _size(points), tuple(findings))
+    if len(points) == 0:
+        raise InputError("There is not a single finite point.")
+    finite = _is_finite(vertices)
+    _, first, inverse = np.unique(
+        vertices[finite] + 0.0, axis=0, return_index=True, return_inverse=True
+    )
+    order = np.argsort(first)
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    index = np.full(len(vertices), -1, dtype=np.int64)
+    index[finite] = rank[inverse.reshape(-1)]
+    scale = _scale(points)
+    original = np.flatnonzero(finite)[first[order]]
+    done = frozenset(finding.kind for finding in findings if finding.always_repaired)
+    return Repaired(PointCloud(points / scale), index, original, diagnosis, done)

@@ -1,0 +1,66 @@
+import json
+import subprocess
+import sys
+
+import numpy as np
+
+from esd.matching.correspondence import load_map
+from esd.mesh.files import read_mesh, write_mesh
+from esd.mesh.mesh import Mesh
+
+
+def run(*arguments: object, expect: int = 0) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "esd", *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == expect, done.stderr
+    assert "Traceback" not in done.stderr
+    return done
+
+
+def test_the_doctor_tells_and_repairs(blob, tmp_path):
+    broken, fixed = tmp_path / "broken.ply", tmp_path / "fixed.ply"
+    faces = blob.faces[(blob.faces != 9).all(axis=1)][:, ::-1]
+    write_mesh(Mesh(np.concatenate([blob.vertices, [[5, 5, 5]]]), faces), broken)
+    told = run("doctor", broken).stdout
+    assert "2 vertices without a face" in told
+    assert "1 piece turned inside out" in told
+    assert "Remedy, with --repair: those with a rim" in told
+    found = json.loads(run("doctor", broken, "--repair", fixed, "--json").stdout)
+    assert {f["kind"] for f in found["findings"]} >= {"unreferenced_vertices", "holes"}
+    assert found["severity"] == "slight"
+    assert found["repaired"]["carried_over"] == len(blob.vertices) - 1
+    mesh = read_mesh(fixed)
+    index = load_map(
+        found["repaired"]["map"],
+        source_count=len(blob.vertices) + 1,
+        target_count=len(mesh.vertices),
+    ).target_index
+    np.testing.assert_array_equal(np.flatnonzero(index < 0), [9, len(blob.vertices)])
+    # PLY files may hold single precision
+    np.testing.assert_allclose(mesh.vertices[index[:9]], blob.vertices[:9], atol=1e-6)
+    assert "nothing wrong" in run("doctor", fixed).stdout
+
+
+def test_commands_take_broken_meshes_and_points_and_say_so(blob, tmp_path):
+    points = tmp_path / "points.xyz"
+    np.savetxt(points, blob.vertices)
+    whole = tmp_path / "whole.off"
+    write_mesh(blob, whole)
+    torn = tmp_path / "torn.ply"
+    write_mesh(
+        Mesh(blob.vertices[blob.faces].reshape(-1, 3), np.arange(blob.faces.size).reshape(-1, 3)),
+        torn,
+    )
+    assert "no faces: a point cloud" in run("doctor", points).stdout
+    assert "cannot be written as a mesh" in run("doctor", points, "--repair", torn, expect=1).stderr
+    run("match", points, whole, "-m", "hks", "-o", tmp_path / "m.csv")
+    done = run("match", torn, whole, "-m", "hks", "-o", tmp_path / "m.csv", "--json", "--repair")
+    summary = json.loads(done.stdout)
+    assert summary["matched"] == blob.faces.size
+    assert "doubled along seams" in summary["source_findings"]
+    assert summary["target_findings"] == ""
+    assert done.stderr.count("\n") == 1
+    for command in (("descriptor", torn, "-o", tmp_path / "d.npy"), ("spectrum", torn, "-k", 20)):
+        extra = () if command[0] == "descriptor" else ("-o", tmp_path / "s.npz")
+        assert "doubled along seams" in run(*command, *extra).stderr
+    assert np.load(tmp_path / "d.npy").shape == (blob.faces.size, 100)

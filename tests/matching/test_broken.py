@@ -1,0 +1,106 @@
+"""Maps of broken meshes come back for the vertices of the files."""
+
+import numpy as np
+import pytest
+
+from esd.common import InputError
+from esd.descriptors.hks import hks
+from esd.descriptors.recipe import Descriptor, Recipe, descriptors, gradient_recipe
+from esd.learning.model import Model
+from esd.matching.match import match
+from esd.mesh.doctor import repair
+from esd.mesh.mesh import Mesh, PointCloud
+from esd.mesh.shapes import icosphere
+from esd.spectral.spectrum import spectrum
+
+RECIPE = Recipe((Descriptor("hks", 30, log=True),), eigenpairs=100)
+MODEL = Model("hks", RECIPE, np.zeros(30), np.ones(30))
+
+
+def share_of_own(blob: Mesh, broken, original, **options) -> float:
+    """Share of the broken shape's vertices that are mapped to themselves on the sound one."""
+    found = match(repair(broken, **options), blob, model=MODEL).target_index
+    kept = found >= 0
+    return float((found[kept] == original[kept]).mean())
+
+
+def test_each_corner_of_a_torn_mesh_is_mapped(blob, caplog):
+    torn = blob.vertices[blob.faces].reshape(-1, 3), np.arange(blob.faces.size).reshape(-1, 3)
+    assert share_of_own(blob, torn, blob.faces.ravel()) == 1
+    assert "The source has" in caplog.text
+    assert "doubled along seams (each is joined with the one at its place)" in caplog.text
+    assert "The target" not in caplog.text
+
+
+def test_what_is_left_out_has_no_match_on_either_side(blob):
+    count = len(blob.vertices)
+    lump = icosphere(1)
+    vertices = np.concatenate([blob.vertices, lump.vertices / 9 + 5, [[7, 7, 7]]])
+    vertices[3] = np.nan
+    dirty = vertices, np.concatenate([blob.faces, lump.faces + count])
+    forth = match(dirty, blob, model=MODEL)
+    lost = np.r_[3, count : len(vertices)]
+    np.testing.assert_array_equal(np.flatnonzero(~forth.is_matched()), lost)
+    assert np.isinf(forth.distance[lost]).all()
+    assert (forth.confidence[lost] == 0).all()
+    back = match(blob, dirty, model=MODEL)
+    assert not np.isin(back.target_index, lost).any()
+    assert back.is_matched().all()
+
+
+def test_repaired_vertices_stand_for_those_of_the_file(blob):
+    hole = Mesh(blob.vertices, blob.faces[(blob.faces != 7).all(axis=1)])
+    forth = match(blob, repair(hole, everything=True), model=MODEL)
+    assert forth.target_index.max() < len(blob.vertices)
+    assert 7 not in forth.target_index
+
+
+def test_a_spectrum_of_a_repaired_mesh_is_carried_back_whole(blob):
+    torn = blob.vertices[blob.faces].reshape(-1, 3), np.arange(blob.faces.size).reshape(-1, 3)
+    repaired = repair(torn)
+    pairs = spectrum(repaired.shape, 20).carried(repaired.vertex_index)
+    assert pairs.eigenvectors.shape == (blob.faces.size, 20)
+    gram = pairs.eigenvectors.T @ (pairs.mass[:, None] * pairs.eigenvectors)
+    np.testing.assert_allclose(gram, np.eye(20), atol=1e-9)
+    np.testing.assert_allclose(pairs.eigenvalues, spectrum(blob, 20).eigenvalues, rtol=1e-9)
+
+
+def test_points_of_a_sphere_have_its_eigenvalues():
+    cloud = PointCloud(icosphere(4).vertices)
+    pairs = spectrum(cloud, 16)
+    degree = np.repeat(np.arange(4), 2 * np.arange(4) + 1)
+    # unit area; 2,562 points of a cloud are good for about a hundredth
+    np.testing.assert_allclose(pairs.eigenvalues, degree * (degree + 1) * 4 * np.pi, rtol=0.05)
+    assert pairs.zero_modes == 1
+
+
+def test_points_are_described_and_matched(blob):
+    points = np.concatenate([blob.vertices, [[np.nan, 0, 0]], blob.vertices[:1]])
+    cloud = points, np.zeros((0, 3), dtype=int)
+    found = match(cloud, blob, model=MODEL)
+    assert found.target_index[len(blob.vertices)] == -1
+    assert found.target_index[-1] == found.target_index[0]
+    assert found.confidence[: len(blob.vertices)].mean() > 0.5
+    two = PointCloud(np.concatenate([blob.vertices, blob.vertices + 100]))
+    assert spectrum(two, 20).zero_modes == 2
+
+
+def test_points_are_refused_where_faces_are_needed(blob):
+    cloud = PointCloud(blob.vertices)
+    product = gradient_recipe("chirality", "hks", columns=[10, 50], reach=1, times=[0.01])
+    with pytest.raises(InputError, match="Points have no faces, which 'chirality' needs"):
+        descriptors(Recipe((product,), eigenpairs=50), cloud)
+    with pytest.raises(InputError, match="area of a point cloud is not known"):
+        descriptors(Recipe((Descriptor("hks", 9),), eigenpairs=50, unit_area=False), cloud)
+    with pytest.raises(InputError, match="300 eigenpairs were asked for"):
+        spectrum(PointCloud(blob.vertices[:9]))
+    with pytest.raises(InputError, match="cannot be built"):
+        spectrum(PointCloud(blob.vertices[:3]), 2)
+
+
+def test_a_cloud_and_its_mesh_have_nearly_equal_signatures():
+    mesh = icosphere(4)
+    bent = Mesh(mesh.vertices * [1, 1.5, 2 + 0.3 * mesh.vertices[:, 0].mean()], mesh.faces)
+    pair = spectrum(bent, 60), spectrum(PointCloud(bent.vertices), 60)
+    first, second = (np.log(hks(pairs, times=np.array([0.01, 0.05]))) for pairs in pair)
+    assert np.corrcoef(first.ravel(), second.ravel())[0, 1] > 0.99

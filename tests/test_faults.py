@@ -1,0 +1,275 @@
+"""What becomes of files, caches and exit codes when things break in the middle."""
+
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from esd.common import InputError, whole_file
+from esd.learning.model import load_model
+from esd.matching.correspondence import load_map
+from esd.mesh.files import write_mesh
+from esd.mesh.mesh import Mesh
+from esd.mesh.shapes import torus
+from esd.spectral.cache import Cache, default_cache
+from esd.spectral.spectrum import spectrum
+
+ESD = [sys.executable, "-m", "esd"]
+
+
+@pytest.fixture
+def shapes(tmp_path) -> Path:
+    folder = tmp_path / "set"
+    folder.mkdir()
+    mesh = torus(24, 16)
+    for i in range(3):
+        bend = np.sin(mesh.vertices[:, [1, 2, 0]] * (1 + 0.2 * i) + np.arange(3))
+        write_mesh(Mesh(mesh.vertices + 0.2 * bend, mesh.faces), folder / f"tr_reg_0{i}0.off")
+    return folder
+
+
+def run(*arguments, limit: int | None = None, **environment) -> subprocess.CompletedProcess[str]:
+    """The command, where no file may grow beyond a limit of bytes: as on a full disk."""
+    return subprocess.run(
+        [*ESD, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, **environment},
+        preexec_fn=limit and (lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))),
+    )
+
+
+def match(shapes: Path, output: Path, **options) -> subprocess.CompletedProcess[str]:
+    pair = shapes / "tr_reg_000.off", shapes / "tr_reg_010.off"
+    return run("match", *pair, "-m", "hks", "-o", output, **options)
+
+
+def is_one_line(text: str) -> bool:
+    return text.count("\n") == 1 and text.startswith("esd: ") and "Traceback" not in text
+
+
+def left_over(folder: Path) -> list[Path]:
+    return list(folder.rglob(".esd-*"))
+
+
+def wait_for(path: Path, process: subprocess.Popen) -> None:
+    for _ in range(2400):
+        if path.exists():
+            return
+        assert process.poll() is None, "the command ended by itself"
+        time.sleep(0.05)
+    raise AssertionError(f"{path} did not appear")
+
+
+def test_a_training_that_is_killed_goes_on_and_becomes_the_same(shapes, tmp_path):
+    command = ["train", shapes, "--preset", "paper-hks", "--steps", 1500, "--seed", 3]
+    checkpoint = tmp_path / "m.checkpoint"
+    broken = subprocess.Popen([*ESD, *map(str, command), "-o", str(tmp_path / "m")])
+    wait_for(checkpoint, broken)
+    broken.kill()
+    broken.wait()
+    assert not (tmp_path / "m").exists()
+    again = run(*command, "-o", tmp_path / "m")
+    assert again.returncode == 0, again.stderr
+    assert "1500 steps" in again.stdout
+    assert not checkpoint.exists()
+    run(*command, "-o", tmp_path / "whole")
+    resumed, whole = load_model(tmp_path / "m"), load_model(tmp_path / "whole")
+    for layer, other in zip(resumed.layers, whole.layers, strict=True):
+        np.testing.assert_array_equal(layer.weight, other.weight)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_ended_command_leaves_one_line_at_most_and_no_file(tmp_path, number):
+    code = (
+        "import sys, time; from pathlib import Path; from esd.cli import app\n"
+        "from esd.common import whole_file\n"
+        "def slow():\n"
+        "    with whole_file(sys.argv[1] + '/map.csv') as t:\n"
+        "        t.write_text('half'); Path(sys.argv[1], 'here').touch(); time.sleep(60)\n"
+        "app.app = slow; app.main()\n"
+    )
+    broken = subprocess.Popen(
+        [sys.executable, "-c", code, str(tmp_path)], stderr=subprocess.PIPE, text=True
+    )
+    wait_for(tmp_path / "here", broken)
+    broken.send_signal(number)
+    _, said = broken.communicate()
+    assert broken.returncode == 128 + number
+    assert said in ("", "esd: interrupted\n")
+    assert [path.name for path in tmp_path.iterdir()] == ["here"]
+
+
+def test_killed_while_writing_the_old_file_stays(tmp_path):
+    path = tmp_path / "map.csv"
+    path.write_text("old")
+    code = (
+        "import os, signal, sys; from esd.common import whole_file\n"
+        "with whole_file(sys.argv[1]) as t:\n"
+        "    t.write_text('half'); os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code, str(path)], check=False)
+    assert done.returncode == -signal.SIGKILL
+    assert path.read_text() == "old"
+    with whole_file(path) as temporary:
+        temporary.write_text("new")
+    assert path.read_text() == "new"
+
+
+def test_killed_while_caching_nothing_is_found_next_time(tmp_path):
+    code = (
+        "import os, signal, sys, numpy as np; from pathlib import Path\n"
+        "from esd.spectral.cache import Cache\n"
+        "def half(file, **arrays):\n"
+        "    Path(file).write_bytes(b'PK'); os.kill(os.getpid(), signal.SIGKILL)\n"
+        "np.savez = half\n"
+        "Cache(Path(sys.argv[1]), 10**9).store('key', {'a': np.ones(3)})\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=False)
+    assert done.returncode == -signal.SIGKILL
+    cache = Cache(tmp_path, 10**9)
+    assert cache.load("key") is None
+    assert cache.computed("key", lambda: {"a": np.ones(3)})["a"].sum() == 3
+    assert cache.load("key") is not None
+
+
+def test_a_full_disk_is_told_in_a_line_and_the_old_file_stays(shapes, tmp_path):
+    output = tmp_path / "map.csv"
+    output.write_text("old")
+    done = match(shapes, output, limit=1000, ESD_CACHE="off")
+    assert done.returncode == 1
+    assert is_one_line(done.stderr), done.stderr
+    assert "too large" in done.stderr
+    assert output.read_text() == "old"
+    assert left_over(tmp_path) == []
+
+
+def test_a_cache_on_a_full_disk_costs_only_a_warning(shapes, tmp_path):
+    done = match(shapes, tmp_path / "map.csv", limit=100_000, ESD_CACHE=str(tmp_path / "cache"))
+    assert done.returncode == 0, done.stderr
+    assert "cannot be written to" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert left_over(tmp_path) == []
+
+
+def test_a_checkpoint_on_a_full_disk_ends_the_training_in_a_line(shapes, tmp_path):
+    command = ("train", shapes, "--preset", "paper-hks", "--steps", 1, "-o", tmp_path / "m")
+    done = run(*command, limit=20_000, ESD_CACHE="off")
+    assert done.returncode == 1
+    assert is_one_line(done.stderr), done.stderr
+    assert not (tmp_path / "m").exists()
+    assert left_over(tmp_path) == []
+
+
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="needs a folder no one can write to")
+def test_a_folder_that_cannot_be_written_to_is_told(shapes, tmp_path):
+    done = match(shapes, Path("/proc/map.csv"))
+    assert done.returncode == 1
+    assert is_one_line(done.stderr), done.stderr
+    done = run("train", shapes, "--preset", "paper-hks", "--steps", 1, "-o", "/proc/model")
+    assert done.returncode == 1
+    assert is_one_line(done.stderr), done.stderr
+    done = match(shapes, tmp_path / "map.csv", ESD_CACHE="/proc/cache")
+    assert done.returncode == 0, done.stderr
+    assert "cannot be written to" in done.stderr
+
+
+def test_two_processes_share_a_cache_that_a_third_clears(shapes, tmp_path):
+    environment = {**os.environ, "ESD_CACHE": str(tmp_path / "cache")}
+    pair = [str(shapes / "tr_reg_000.off"), str(shapes / "tr_reg_010.off")]
+    outputs = [tmp_path / f"{i}.npy" for i in range(2)]
+    both = [
+        subprocess.Popen(
+            [*ESD, "match", *pair, "-m", "hks", "-o", str(output), "--json"],
+            stderr=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            env=environment,
+        )
+        for output in outputs
+    ]
+    cache = Cache(tmp_path / "cache", 10**9)
+    while any(process.poll() is None for process in both):
+        cache.clear()
+        time.sleep(0.01)
+    for process in both:
+        said, complained = process.communicate()
+        assert process.returncode == 0, complained
+        assert json.loads(said)["matched"] == 384
+    np.testing.assert_array_equal(np.load(outputs[0]), np.load(outputs[1]))
+
+
+def test_a_cache_of_another_version_is_not_read(blob, monkeypatch):
+    import esd.spectral.spectrum as module
+
+    cache = default_cache()
+    first = spectrum(blob, 20, cache=cache)
+    for path, _ in cache.entries():
+        np.savez(path, eigenvalues=np.zeros(1))  # what another version might keep under its key
+    monkeypatch.setattr(module, "_SOLVER_VERSION", "another")
+    second = spectrum(blob, 20, cache=cache)
+    np.testing.assert_allclose(second.eigenvalues, first.eigenvalues, atol=1e-9)
+    cache.clear()
+
+
+@pytest.mark.parametrize("damage", ["cut", "noise", "empty", "bomb", "pickle"])
+def test_damaged_cache_entries_are_computed_again(tmp_path, caplog, damage):
+    cache = Cache(tmp_path, 10**9)
+    cache.store("key", {"a": np.arange(1000.0)})
+    path = tmp_path / "key.npz"
+    if damage == "cut":
+        path.write_bytes(path.read_bytes()[:500])
+    elif damage == "noise":
+        path.write_bytes(np.random.default_rng(0).bytes(5000))
+    elif damage == "empty":
+        path.write_bytes(b"")
+    elif damage == "bomb":
+        with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+            archive.writestr("a.npy", bytes(10**7))
+    else:
+        np.savez(path, a=np.array([{}], dtype=object), allow_pickle=True)
+    assert cache.computed("key", lambda: {"a": np.ones(3)})["a"].sum() == 3
+    assert "is damaged and is computed again" in caplog.text
+    assert cache.load("key")["a"].sum() == 3
+
+
+def test_arrays_that_promise_more_than_they_hold_are_refused(tmp_path):
+    path = tmp_path / "map.npy"
+    head = (
+        b"\x93NUMPY\x01\x00v\x00{'descr': '<i8', 'fortran_order': False, 'shape': (10000000000,), }"
+    )
+    path.write_bytes(head.ljust(127) + b"\n" + bytes(24))
+    with pytest.raises(InputError, match="holds no map"):
+        load_map(path, source_count=3, target_count=3)
+
+
+def test_models_that_mean_harm_are_refused(tmp_path):
+    folder = tmp_path / "m"
+    folder.mkdir()
+    config = folder / "config.json"
+    config.write_text("[" * 100_000)
+    with pytest.raises(InputError, match="is damaged"):
+        load_model(folder)
+    with config.open("wb") as file:
+        file.truncate(2**26 + 1)
+    with pytest.raises(InputError, match="larger than any model"):
+        load_model(folder)
+    config.write_text('{"format": 1}')
+    weights = folder / "model.safetensors"
+    for content in (b"", b"\x80\x04]", (2**60).to_bytes(8, "little") + b"{}"):
+        weights.write_bytes(content)
+        with pytest.raises(InputError, match="is damaged"):
+            load_model(folder)
+    with weights.open("wb") as file:
+        file.truncate(2**30 + 1)
+    with pytest.raises(InputError, match="larger than any model"):
+        load_model(folder)
