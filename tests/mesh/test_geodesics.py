@@ -76,3 +76,21 @@ def test_area_samples_follow_the_area():
     assert 0.65 < share < 0.78
     with pytest.raises(InputError, match="`count` must be from 1 to 1600"):
         sample_by_area(stretched, 1601)
+
+
+def test_nearest_source_is_that_of_the_smallest_distance():
+    graph = geodesic_graph(icosphere(2))
+    sources = np.array([3, 50, 120])
+    np.testing.assert_array_equal(
+        graph.nearest_source(sources), sources[graph.distances(sources).argmin(axis=0)]
+    )
+
+
+def test_no_source_is_nearest_where_none_is_reached():
+    one = icosphere(0)
+    two = Mesh(
+        np.concatenate([one.vertices, one.vertices + 5]),
+        np.concatenate([one.faces, one.faces + 12]),
+    )
+    nearest = geodesic_graph(two).nearest_source(np.array([0]))
+    np.testing.assert_array_equal(nearest, np.repeat([0, -1], 12))
