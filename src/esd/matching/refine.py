@@ -14,6 +14,9 @@ from esd.spectral.spectrum import Spectrum
 SIZES = (30, 60, 100, 160, 230, 300)
 """Numbers of eigenfunctions, one step after the other."""
 
+WEIGHT = 0.8
+"""Of embeddings beside eigenfunctions."""
+
 
 def zoomout(
     source: Spectrum,
@@ -22,7 +25,7 @@ def zoomout(
     *,
     sizes: Sequence[int] = SIZES,
     embeddings: tuple[FloatArray, FloatArray] | None = None,
-    weight: float = 0.8,
+    weight: float = WEIGHT,
     bijective: bool = False,
 ) -> IntArray:
     """The target vertex of each source vertex, (n,), refined with more and more eigenfunctions.
@@ -66,20 +69,38 @@ def zoomout(
     used = [size for size in sizes if size < available]
     if len(used) < len(sizes):
         used.append(available)
-    least = 1e-3 * np.sqrt(mean_squared_distance(*embeddings)) if embeddings is not None else 0.0
     index, back = target_index, _backwards(target_index, len(target.mass))
     for size in used:
-        rows = spectral_rows(source, target, functional_map(source, target, index, size=size))
+        rows = joint_rows(source, target, index, size=size, embeddings=embeddings, weight=weight)
         if bijective:
             functional = functional_map(target, source, back, size=size)
             rows = _side_by_side(rows, spectral_rows(target, source, functional)[::-1], 1.0)
-        if embeddings is not None:
-            gap = max(_residual(*embeddings, index), least)
-            rows = _side_by_side(rows, embeddings, weight * _residual(*rows, index) / gap)
         index = _nearest(*rows)
         if bijective:
             back = _nearest(*rows[::-1])
     return index
+
+
+def joint_rows(
+    source: Spectrum,
+    target: Spectrum,
+    target_index: IntArray,
+    *,
+    size: int,
+    embeddings: tuple[FloatArray, FloatArray] | None = None,
+    weight: float = WEIGHT,
+) -> tuple[FloatArray, FloatArray]:
+    """Rows of the vertices of both shapes that are close where a map and its embeddings agree.
+
+    The `spectral_rows` of the map's functional map of a size, and the embeddings beside them; see
+    `zoomout` for the parameters. NaN at vertices without a face.
+    """
+    rows = spectral_rows(source, target, functional_map(source, target, target_index, size=size))
+    if embeddings is None:
+        return rows
+    least = 1e-3 * np.sqrt(mean_squared_distance(*embeddings))
+    gap = max(_residual(*embeddings, target_index), least)
+    return _side_by_side(rows, embeddings, weight * _residual(*rows, target_index) / gap)
 
 
 def mean_squared_distance(source: FloatArray, target: FloatArray) -> float:

@@ -15,6 +15,7 @@ SparseMatrix: TypeAlias = Any
 
 LaplacianKind: TypeAlias = Literal["cotangent", "robust"]
 
+_FEWEST_POINTS = 5
 _NEIGHBOURS = 30  # of a point, among which its piece of surface is triangulated
 _AREA_FLOOR = 1e-10  # of the mean face area; below it a cotangent is rounding error
 
@@ -107,6 +108,10 @@ def _heron(lengths: FloatArray) -> FloatArray:
 def _robust(shape: Mesh | PointCloud) -> tuple[SparseMatrix, FloatArray]:
     import robust_laplacian
 
+    if len(shape.vertices) < _FEWEST_POINTS:  # the package may read past the end of fewer
+        raise InputError(
+            f"The robust Laplacian cannot be built: {len(shape.vertices)} points are too few."
+        )
     try:
         if isinstance(shape, Mesh):
             found = robust_laplacian.mesh_laplacian(shape.vertices, shape.faces)
