@@ -66,6 +66,24 @@ def test_a_shape_matches_its_moved_and_renumbered_self(blob):
     assert result.judgement.verdict == "good"
 
 
+@pytest.mark.parametrize("refine", [False, True])
+def test_one_to_one_maps_take_no_vertex_twice(blob, refine):
+    from esd.descriptors.recipe import Descriptor, Recipe
+    from esd.learning.model import Model
+
+    recipe = Recipe((Descriptor("hks", 30, log=True),), eigenpairs=100)
+    model = Model("hks", recipe, np.zeros(30), np.ones(30))
+    noisy = Mesh(
+        blob.vertices * [1, 1.1, 1.2] + 0.01 * np.sin(9 * blob.vertices[:, ::-1]), blob.faces
+    )
+    usual, single = (
+        match(blob, noisy, model=model, refine=refine, one_to_one=each) for each in (False, True)
+    )
+    taken = single.target_index[single.is_matched()]
+    assert len(taken) == len(np.unique(taken)) > len(np.unique(usual.target_index))
+    assert np.isinf(single.distance[~single.is_matched()]).all()
+
+
 def test_too_small_meshes_are_refused_by_models():
     tetrahedron = Mesh(np.eye(4, 3), [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
     with pytest.raises(InputError, match="300 eigenpairs were asked for; this mesh of 4"):

@@ -42,6 +42,10 @@ def match(
     reject: Annotated[
         bool, typer.Option("--reject", help="Drop matches beyond the model's threshold, C / 2.")
     ] = False,
+    one_to_one: Annotated[
+        bool,
+        typer.Option("--one-to-one", help="Match no target vertex twice; some source ones not."),
+    ] = False,
     view: Annotated[
         bool,
         typer.Option("--view", help="Also write a page that shows the map, and open it."),
@@ -75,7 +79,7 @@ def match(
         free_path(page, force=force)
     loaded = load_model(model)
     shapes = repaired(source, everything=repair), repaired(target, everything=repair)
-    result = match_meshes(*shapes, model=loaded, refine=refine)
+    result = match_meshes(*shapes, model=loaded, refine=refine, one_to_one=one_to_one)
     if reject:
         result = result.rejecting(loaded.threshold())
     save_map(result, path)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import min_weight_full_bipartite_matching
-from scipy.spatial import KDTree
 
 from esd.common import FloatArray, InputError, IntArray
+from esd.matching.nearest import nearest_candidates
 
 
 def one_to_one(source: FloatArray, target: FloatArray, *, candidates: int = 30) -> IntArray:
@@ -40,14 +40,11 @@ def one_to_one(source: FloatArray, target: FloatArray, *, candidates: int = 30) 
     if len(here) == 0 or len(there) == 0:
         raise InputError("No vertex has a finite row.")
     count = min(candidates, len(there))
-    distance, near = KDTree(target[there]).query(source[here], k=count, workers=-1)
-    distance, near = distance.reshape(len(here), count), near.reshape(len(here), count)
-    none = float(distance.max()) ** 2
+    squared, near = nearest_candidates(source[here], target[there], count=count)
+    none = float(squared.max())
     # each source vertex has a column of its own that stands for no match; weights must not be 0
     columns = np.concatenate([near, len(there) + np.arange(len(here))[:, None]], axis=1)
-    cost = (
-        np.concatenate([distance**2, np.full((len(here), 1), none)], axis=1) + 1e-6 * none + 1e-300
-    )
+    cost = np.concatenate([squared, np.full((len(here), 1), none)], axis=1) + 1e-6 * none + 1e-300
     rows = np.repeat(np.arange(len(here)), count + 1)
     graph = sparse.coo_array(
         (cost.ravel(), (rows, columns.ravel())), shape=(len(here), len(there) + len(here))

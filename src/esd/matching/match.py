@@ -12,10 +12,11 @@ import numpy as np
 from esd.common import FloatArray
 from esd.descriptors.recipe import recipe_spectrum
 from esd.learning.model import Model, load_model
+from esd.matching.assignment import one_to_one as assignment
 from esd.matching.confidence import confidence, judgement
 from esd.matching.correspondence import Correspondence
 from esd.matching.nearest import nearest
-from esd.matching.refine import SIZES, mean_squared_distance, zoomout
+from esd.matching.refine import SIZES, joint_rows, mean_squared_distance, zoomout
 from esd.mesh.doctor import Repaired, repair
 from esd.mesh.mesh import MeshLike, PointCloud
 from esd.spectral.cache import Cache, default_cache
@@ -35,6 +36,7 @@ def match(
     *,
     model: Model | str | os.PathLike[str] = DEFAULT_MODEL,
     refine: bool | None = None,
+    one_to_one: bool = False,
     cache: Cache | None = None,
 ) -> Correspondence:
     """The target vertex that corresponds to each source vertex, how surely, and a judgement.
@@ -49,6 +51,8 @@ def match(
         A `Model`, or what `load_model` takes.
     refine
         Whether the map is refined by `zoomout`; by default if the model tells left from right.
+    one_to_one
+        Whether no target vertex may be matched twice; source vertices are then left out.
     cache
         Where spectra are looked up and kept; the user's cache by default.
 
@@ -66,7 +70,10 @@ def match(
         model.embed_spectrum(each.shape, pairs) for each, pairs in zip(shapes, spectra, strict=True)
     ]
     found = match_embedded(
-        *embedded, margin=model.margin, spectra=(spectra[0], spectra[1]) if refine else None
+        *embedded,
+        margin=model.margin,
+        spectra=(spectra[0], spectra[1]) if refine else None,
+        one_to_one=one_to_one,
     )
     back = match_embedded(
         *embedded[::-1],
@@ -120,6 +127,7 @@ def match_embedded(
     margin: float | None,
     spectra: tuple[Spectrum, Spectrum] | None = None,
     sizes: Sequence[int] = SIZES,
+    one_to_one: bool = False,
 ) -> Correspondence:
     """The nearest row of `target` (m, d) to each row of `source` (n, d) as a correspondence.
 
@@ -134,11 +142,18 @@ def match_embedded(
         those of the refined matches.
     sizes
         Of the steps of `zoomout`.
+    one_to_one
+        Whether no target vertex may be matched twice, see `esd.matching.assignment`.
     """
-    index, distance = nearest(source, target)
+    rows = source, target
+    index, _ = nearest(*rows)
     if spectra is not None:
         index = zoomout(*spectra, index, sizes=sizes, embeddings=(source, target))
-        reached = np.linalg.norm(source - target[index], axis=1)
-        distance = np.where(index >= 0, reached, np.inf)
+        if one_to_one:
+            size = min(sizes[-1], *(len(pairs.eigenvalues) for pairs in spectra))
+            rows = joint_rows(*spectra, index, size=size, embeddings=(source, target))
+    if one_to_one:
+        index = assignment(*rows)
+    distance = np.where(index >= 0, np.linalg.norm(source - target[index], axis=1), np.inf)
     scale = mean_squared_distance(source, target) if margin is None else margin
     return Correspondence(index, distance, np.exp(-(distance**2) / scale))

@@ -53,3 +53,22 @@ def _by_products(source: FloatArray, target: FloatArray) -> tuple[IntArray, Floa
         ]
     )
     return index, np.linalg.norm(source - target[index], axis=1)
+
+
+def nearest_candidates(
+    source: FloatArray, target: FloatArray, *, count: int
+) -> tuple[FloatArray, IntArray]:
+    """Squared distances and indices, (n, count) each, of some nearest rows, in no order.
+
+    All rows must be finite, and `count` no more than those of `target`.
+    """
+    centre = target.mean(axis=0)
+    source, target = source - centre, target - centre
+    squares = np.einsum("ij,ij->i", target, target)
+    rows = max(1, _CHUNK_BYTES // (8 * len(target)))
+    index = np.empty((len(source), count), dtype=np.int64)
+    for start in range(0, len(source), rows):
+        part = slice(start, start + rows)
+        index[part] = np.argpartition(squares - 2 * source[part] @ target.T, count - 1)[:, :count]
+    gap = source[:, None] - target[index]
+    return np.einsum("ikd,ikd->ik", gap, gap), index
