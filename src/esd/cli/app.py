@@ -15,6 +15,7 @@ from esd.cli.doctor import doctor
 from esd.cli.evaluate import evaluate
 from esd.cli.match import match
 from esd.cli.model import model
+from esd.cli.reproduce import reproduce
 from esd.cli.spectrum import spectrum
 from esd.cli.train import train
 from esd.common import InputError
@@ -26,7 +27,7 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-for command in (match, train, evaluate, spectrum, descriptor, doctor, cache):
+for command in (match, train, evaluate, spectrum, descriptor, doctor, reproduce, cache):
     app.command()(command)
 app.add_typer(data, name="data")
 app.add_typer(model, name="model")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from typing import Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -14,7 +15,7 @@ from esd.matching.correspondence import Correspondence
 from esd.mesh.mesh import Mesh, face_normals
 
 _LIGHT = np.array([-0.4, 0.3, 0.85])
-_UNMATCHED = np.array([0.75, 0.75, 0.75])
+UNMATCHED = np.array([0.75, 0.75, 0.75])
 
 
 def match_figure(source: Mesh, target: Mesh, match: Correspondence, *, up: str = "z") -> Figure:
@@ -35,16 +36,16 @@ def match_figure(source: Mesh, target: Mesh, match: Correspondence, *, up: str =
     """
     if up not in ("y", "z"):
         raise InputError(f"`up` must be 'y' or 'z'; got '{up}'.")
-    colours = _position_colours(target)
+    colours = position_colours(target)
     carried = np.where(
-        match.is_matched()[:, None], colours[np.maximum(match.target_index, 0)], _UNMATCHED
+        match.is_matched()[:, None], colours[np.maximum(match.target_index, 0)], UNMATCHED
     )
     figure = Figure(figsize=(8, 6), layout="constrained")
     FigureCanvasAgg(figure)
     panels = figure.subplots(1, 2)
     shown = ((source, carried, "source, by the map"), (target, colours, "target"))
     for axes, (mesh, colour, title) in zip(panels, shown, strict=True):
-        _draw(axes, mesh, colour, up)
+        draw_mesh(axes, mesh, colour, up)
         axes.set_title(title)
     return figure
 
@@ -55,15 +56,25 @@ def save_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
         figure.savefig(temporary, dpi=150)
 
 
-def _position_colours(mesh: Mesh) -> FloatArray:
+def position_colours(mesh: Mesh) -> FloatArray:
     """A colour of each vertex, (n, 3) between 0 and 1, that changes smoothly over space."""
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     relative = (mesh.vertices - low) / np.maximum(high - low, np.finfo(float).tiny)
     return np.asarray(0.1 + 0.85 * relative)
 
 
-def _draw(axes: object, mesh: Mesh, colours: FloatArray, up: str) -> None:
-    """Draw the faces that look at the viewer, the farthest first."""
+def draw_mesh(axes: Any, mesh: Mesh, colours: FloatArray, up: str) -> None:
+    """Draw the faces that look at the viewer, the farthest first.
+
+    Parameters
+    ----------
+    axes
+        Of matplotlib.
+    colours : (n, 3)
+        Of the vertices, between 0 and 1.
+    up
+        The axis, `y` or `z`, that points up.
+    """
     right, forward, vertical = (0, 1, 2) if up == "z" else (0, 2, 1)
     toward = -1 if up == "z" else 1
     normals = face_normals(mesh)
@@ -75,8 +86,10 @@ def _draw(axes: object, mesh: Mesh, colours: FloatArray, up: str) -> None:
     shade = 0.45 + 0.55 * np.clip(view[order] @ (_LIGHT / np.linalg.norm(_LIGHT)), 0, 1)
     corners = mesh.vertices[mesh.faces[order]][:, :, [right, vertical]]
     paint = colours[mesh.faces[order]].mean(axis=1) * shade[:, None]
-    faces = PolyCollection(corners, facecolors=paint, edgecolors=paint, linewidths=0.2)
-    axes.add_collection(faces)  # type: ignore[attr-defined]
-    axes.set_aspect("equal")  # type: ignore[attr-defined]
-    axes.autoscale_view()  # type: ignore[attr-defined]
-    axes.set_axis_off()  # type: ignore[attr-defined]
+    faces = PolyCollection(
+        corners, facecolors=paint, edgecolors=paint, linewidths=0.2, rasterized=True
+    )
+    axes.add_collection(faces)
+    axes.set_aspect("equal")
+    axes.autoscale_view()
+    axes.set_axis_off()
