@@ -11,7 +11,11 @@ import typer
 # name of each experiment: the module whose `run` measures, the function that draws
 EXPERIMENTS = {
     "table1": ("table1", "table1_figures"),
+    "dimension": ("dimension", "dimension_figures"),
     "architecture": ("architecture", "architecture_figures"),
+    "concatenation": ("concatenation", "concatenation_figures"),
+    "scale": ("scale", "scale_figures"),
+    "transfer": ("transfer", "transfer_figures"),
 }
 
 Experiment = Enum("Experiment", {name: name for name in EXPERIMENTS}, type=str)  # type: ignore[misc]
@@ -42,11 +46,11 @@ def reproduce(
     quick: Annotated[bool, typer.Option("--quick", help="A coarse answer, soon.")] = False,
     seed: Annotated[int, typer.Option(min=0, help="Of all that is random.")] = 0,
 ) -> None:
-    """Repeat an experiment of the paper: figures, tables as CSV and report.md, in a folder.
+    """Repeat an experiment of the paper: figures, CSV tables and report.md, in DIR/EXPERIMENT.
 
-    An interrupted experiment goes on when the command is given again.
+    What is finished is kept in DIR/parts and DIR/models: an interrupted experiment goes on when
+    the command is given again, and several experiments share their trainings.
     """
-    import os
     import shlex
     import sys
     import time
@@ -65,7 +69,8 @@ def reproduce(
     if (len(data) > 1) != (experiment.value == "transfer"):
         raise InputError("'transfer' takes --data several times, the other experiments once.")
     start = time.perf_counter()
-    output.mkdir(parents=True, exist_ok=True)
+    folder = output / experiment.value
+    folder.mkdir(parents=True, exist_ok=True)
     settings = []
     for name in data:
         collection = sample_by_subject(open_collection(name), per_subject, seed=seed)
@@ -77,7 +82,6 @@ def reproduce(
                 folder=output,
                 seed=seed,
                 quick=quick,
-                processes=os.cpu_count() or 1,
                 cache=default_cache(),
                 progress=progress,
             )
@@ -87,12 +91,12 @@ def reproduce(
     figures = getattr(drawing, draw)(outcome)
     for name, figure in figures.items():
         for suffix in (".png", ".pdf"):
-            save_figure(figure, output / f"{name}{suffix}")
+            save_figure(figure, folder / f"{name}{suffix}")
     facts = {
         "Command": f"`esd {shlex.join(sys.argv[1:])}`",
         **provenance(settings),
         "Seed": seed,
         "Time": f"{time.perf_counter() - start:.0f} s, less what an earlier run had finished",
     }
-    write_report(outcome.report, output, facts=facts, figures=list(figures))
-    typer.echo(f"written to {output / 'report.md'}")
+    write_report(outcome.report, folder, facts=facts, figures=list(figures))
+    typer.echo(f"written to {folder / 'report.md'}")

@@ -36,8 +36,6 @@ class Setting:
         Of all that is random.
     quick
         Whether a coarse answer in a minute or two will do.
-    processes
-        Number of processes that measure distances.
     cache
         Where spectra are looked up and kept.
     progress
@@ -50,7 +48,6 @@ class Setting:
     folder: Path
     seed: int
     quick: bool
-    processes: int
     cache: Cache | None
     progress: Callable[[str, int], AbstractContextManager[Callable[[int], None]]]
 
