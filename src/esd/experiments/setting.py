@@ -6,6 +6,7 @@ import platform
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -57,6 +58,7 @@ class Setting:
         return Cache(self.folder / "parts", 10**12)
 
 
+@lru_cache(maxsize=8)
 def fingerprint(collection: Collection) -> str:
     """A key of all meshes and correspondences of a collection."""
     arrays = []

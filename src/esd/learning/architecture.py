@@ -25,7 +25,7 @@ Networks = list[tuple[torch.Tensor, torch.Tensor]]
 def train_many(
     table: PointTable, training: Training, hidden: Sequence[tuple[int, ...]], *, seed: int
 ) -> Networks:
-    """Networks trained at once, each as `esd.learning.train.train` trains it alone but for rounding.
+    """Networks trained at once, each as `esd.learning.train.train` would alone, but for rounding.
 
     All start from the weights that the seed gives them alone, and see the same pairs. Layers are
     as wide as the widest; what a network lacks is zero and stays so: a unit whose weights and bias
