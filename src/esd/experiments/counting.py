@@ -9,7 +9,6 @@ import numpy as np
 
 from esd.common import BoolArray, FloatArray, IntArray
 from esd.datasets.collection import Shape
-from esd.descriptors.recipe import recipe_spectrum
 from esd.evaluation.errors import geodesic_errors
 from esd.experiments.report import Table
 from esd.experiments.setting import Setting
@@ -191,10 +190,7 @@ def _models_key(models: Mapping[str, Model]) -> str:
 
 def _embedded(setting: Setting, models: Mapping[str, Model], shape: Shape) -> _Embedded:
     mesh = shape.mesh()
-    values = {
-        name: model.embed_spectrum(recipe_spectrum(model.recipe, mesh, cache=setting.cache))
-        for name, model in models.items()
-    }
+    values = {name: model.embed_mesh(mesh, cache=setting.cache) for name, model in models.items()}
     return _Embedded(shape, shape.correspondence(), values)
 
 

@@ -13,6 +13,7 @@ from esd.learning.losses import PairCriteria, contrastive_loss, pair_criteria
 from esd.learning.network import linear_layers, seeded_network
 from esd.learning.pairs import PairBatch, PointTable, draw_pairs
 from esd.learning.presets import Training
+from esd.learning.train import learning_rate
 
 _JUDGING = 2**32 - 1  # seed of the pairs that networks are judged on
 _JUDGING_BATCHES = 20
@@ -57,7 +58,7 @@ def train_many(
             count=training.batch,
             soft_label=training.soft_label,
         )
-        optimiser.param_groups[0]["lr"] = training.learning_rate * training.decay**step
+        optimiser.param_groups[0]["lr"] = learning_rate(training, step)
         squared = _squared_distances(networks, table, batch)
         label = torch.from_numpy(batch.label)
         optimiser.zero_grad()
