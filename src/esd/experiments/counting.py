@@ -20,8 +20,8 @@ from esd.spectral.cache import Arrays, content_key
 
 NEAR = 0.05  # of the geodesic diameter of the target: beyond it a match is wrong
 REACH = 0.02  # of the geodesic diameter of the source: a match covers what lies nearer
-_PAIRS = 200
-_QUICK_PAIRS = 20
+_PAIRS = 60
+_QUICK_PAIRS = 12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,7 +64,7 @@ class _Embedded:
 
 
 def drawn_pairs(setting: Setting) -> tuple[tuple[Shape, Shape], ...]:
-    """At most 200 pairs of different unseen subjects, drawn by the seed; 20 to be quick."""
+    """At most 60 pairs of different unseen subjects, drawn by the seed; 12 to be quick."""
     every = setting.testing.pairs()
     order = np.random.default_rng(setting.seed).permutation(len(every))
     return tuple(every[i] for i in order[: _QUICK_PAIRS if setting.quick else _PAIRS])

@@ -16,7 +16,7 @@ from esd.mesh.mesh import Mesh
 FACTORS = (0.5, 0.8, 1.0, 1.25, 2.0)
 """Sizes of the target, in units of its own."""
 
-_PAIRS = 20
+_PAIRS = 10
 _QUICK_PAIRS = 4
 
 
