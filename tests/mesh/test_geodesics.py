@@ -76,3 +76,13 @@ def test_area_samples_follow_the_area():
     assert 0.65 < share < 0.78
     with pytest.raises(InputError, match="`count` must be from 1 to 1600"):
         sample_by_area(stretched, 1601)
+
+
+def test_distance_from_the_nearest_of_several_sources(blob):
+    graph = geodesic_graph(blob)
+    sources = np.array([3, 100, 400])
+    nearest = graph.distances(sources).min(axis=0)
+    np.testing.assert_array_equal(graph.distances_to_any(sources), nearest)
+    within = np.isfinite(graph.distances_to_any(sources, limit=0.3))
+    np.testing.assert_array_equal(within, nearest <= 0.3)
+    assert np.isinf(graph.distances_to_any(np.array([], dtype=np.int64))).all()

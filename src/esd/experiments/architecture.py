@@ -17,9 +17,6 @@ from esd.spectral.cache import Arrays, content_key
 CHOSEN = {"gps": (20, 18), "hks": (78, 32), "wks": (78, 32)}
 """The paper's choice."""
 
-CRITERIA = ("LSS", "TNR", "FPR", "ERR")
-"""The paper's names of its criteria: loss, miss rate, false-match rate, and the sum of both."""
-
 _LARGEST = {"gps": 25, "hks": 100, "wks": 100}
 _SMALLEST = 16  # even numbers, among which the paper's choices are
 _BATCH = 64  # pairs in a step; fewer than the paper's 512, for about 950 trainings

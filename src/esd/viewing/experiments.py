@@ -11,7 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.tri import Triangulation
 
-from esd.experiments.architecture import CHOSEN, CRITERIA, ArchitectureOutcome, Trial
+from esd.experiments.architecture import CHOSEN, ArchitectureOutcome, Trial
 from esd.experiments.concatenation import ConcatenationOutcome
 from esd.experiments.counting import CorrectMatches
 from esd.experiments.dimension import NEIGHBOURS, DimensionOutcome
@@ -136,14 +136,13 @@ def transfer_figures(outcome: TransferOutcome) -> Figures:
 def architecture_figures(outcome: ArchitectureOutcome) -> Figures:
     """The criteria over the neurons of two hidden layers, one row a descriptor; and by depth."""
     figure = _figure(11, 8)
-    panels = figure.subplots(len(KINDS), len(CRITERIA))
-    measures = (_LOSS, *_RATES)
+    panels = figure.subplots(len(KINDS), len(_MEASURES))
     for row, kind in zip(panels, KINDS, strict=True):
         grid = [t for t in outcome.trials if t.kind == kind and len(t.hidden) == 2]
         seed = min(t.seed for t in grid)
         grid = [t for t in grid if t.seed == seed]
         first, second = np.array([t.hidden for t in grid], dtype=float).T
-        for axes, name, measure in zip(row, CRITERIA, measures, strict=True):
+        for axes, (name, measure) in zip(row, _MEASURES.items(), strict=True):
             values = [measure(trial.testing) for trial in grid]
             shown = axes.tricontourf(Triangulation(first, second), values, levels=14)
             figure.colorbar(shown, ax=axes)
@@ -181,16 +180,12 @@ def _depth_figure(trials: tuple[Trial, ...]) -> Figure:
     return figure
 
 
-def _loss_sum(criteria: PairCriteria) -> float:
-    return criteria.loss_sum
-
-
-_LOSS = _loss_sum
-_RATES: tuple[Callable[[PairCriteria], float], ...] = (
-    lambda criteria: criteria.miss_rate,
-    lambda criteria: criteria.false_match_rate,
-    lambda criteria: criteria.error_rate,
-)
+_MEASURES: dict[str, Callable[[PairCriteria], float]] = {
+    "LSS": lambda criteria: criteria.loss_sum,
+    "TNR, %": lambda criteria: 100 * criteria.miss_rate,
+    "FPR, %": lambda criteria: 100 * criteria.false_match_rate,
+    "ERR, %": lambda criteria: 100 * criteria.error_rate,
+}  # by the names they have in the paper
 _SIDES: dict[str, Callable[[Trial], PairCriteria]] = {
     "unseen subjects": lambda trial: trial.testing,
     "subjects trained on": lambda trial: trial.training,
