@@ -8,15 +8,9 @@ from typing import Annotated
 
 import typer
 
-# name of each experiment: the module whose `run` measures, the function that draws
-EXPERIMENTS = {
-    "table1": ("table1", "table1_figures"),
-    "dimension": ("dimension", "dimension_figures"),
-    "architecture": ("architecture", "architecture_figures"),
-    "concatenation": ("concatenation", "concatenation_figures"),
-    "scale": ("scale", "scale_figures"),
-    "transfer": ("transfer", "transfer_figures"),
-}
+# each has a module of its name in esd.experiments, whose `run` measures, and a function
+# NAME_figures in esd.viewing.experiments, which draws
+EXPERIMENTS = ("table1", "dimension", "architecture", "concatenation", "scale", "transfer")
 
 Experiment = Enum("Experiment", {name: name for name in EXPERIMENTS}, type=str)  # type: ignore[misc]
 
@@ -86,9 +80,8 @@ def reproduce(
                 progress=progress,
             )
         )
-    module, draw = EXPERIMENTS[experiment.value]
-    outcome = import_module(f"esd.experiments.{module}").run(*settings)
-    figures = getattr(drawing, draw)(outcome)
+    outcome = import_module(f"esd.experiments.{experiment.value}").run(*settings)
+    figures = getattr(drawing, f"{experiment.value}_figures")(outcome)
     for name, figure in figures.items():
         for suffix in (".png", ".pdf"):
             save_figure(figure, folder / f"{name}{suffix}")
