@@ -78,7 +78,7 @@ def _report(
         "Mean share of the variance left after five components, %",
         ("sample", *(f"k = {k}" for k in shown)),
         tuple(
-            (name, *(100 * float(curves[k][5]) for k in shown))
+            (name, *(round(100 * float(curves[k][5]), 6) for k in shown))
             for name, curves in residuals.items()
         ),
     )
