@@ -3,7 +3,7 @@ BIN := .venv/bin
 
 SECONDS ?= 1800
 
-.PHONY: demo test check fuzz clean
+.PHONY: demo test check docs fuzz clean
 
 demo: .venv/demo
 	$(BIN)/python examples/demo.py
@@ -16,6 +16,9 @@ check: .venv/dev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+docs: .venv/dev
+	$(BIN)/mkdocs build --strict
 
 .venv/demo: pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
@@ -33,4 +36,4 @@ fuzz: .venv/dev
 	$(BIN)/python tools/fuzz.py -max_total_time=$(SECONDS) -max_len=5000 -timeout=20 -rss_limit_mb=4096 -artifact_prefix=fuzz/
 
 clean:
-	rm -rf .venv demo dist fuzz
+	rm -rf .venv demo dist fuzz site docs/pictures

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from esd.mesh.files import write_mesh as write_mesh
     from esd.mesh.mesh import Mesh as Mesh
     from esd.mesh.mesh import as_mesh as as_mesh
+    from esd.mesh.mesh import with_attributes as with_attributes
+    from esd.viewing.page import view as view
 
 __version__ = "0.1.0.dev0"
 
@@ -42,6 +44,8 @@ _HOMES = {
     "read_mesh": "esd.mesh.files",
     "repair": "esd.mesh.doctor",
     "save_map": "esd.matching.correspondence",
+    "view": "esd.viewing.page",
+    "with_attributes": "esd.mesh.mesh",
     "write_mesh": "esd.mesh.files",
 }
 

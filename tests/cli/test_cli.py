@@ -88,8 +88,8 @@ def test_spectrum_descriptor_and_cache(shapes, tmp_path):
     with np.load(tmp_path / "s.npz", allow_pickle=False) as file:
         assert file["eigenvalues"].shape == (20,)
     for kind, width in (("hks", 100), ("wks", 100), ("gps", 25), ("sihks", 19)):
-        run("descriptor", mesh, "--kind", kind, "-o", tmp_path / "d.npy")
-        assert np.load(tmp_path / "d.npy").shape == (384, width)
+        run("descriptor", mesh, "--kind", kind, "-o", tmp_path / f"{kind}.npy")
+        assert np.load(tmp_path / f"{kind}.npy").shape == (384, width)
     run("descriptor", mesh, "-o", tmp_path / "d.csv")
     assert len((tmp_path / "d.csv").read_text().splitlines()) == 384
     assert "entries" in run("cache").stdout

@@ -70,9 +70,11 @@ def test_an_outside_that_is_not_defined_is_refused(blob):
     faces = blob.faces.copy()
     faces[5] = faces[5, ::-1]
     torn = Mesh(blob.vertices, faces)
+    pairs, which = spectrum(torn, 80), neighbour_pairs(2, reach=1)
     with pytest.raises(InputError, match="wound differently"):
-        descriptors(Recipe((ODD,), eigenpairs=80), torn)
-    assert np.isfinite(descriptors(Recipe((EVEN,), eigenpairs=80), torn)).all()
+        gradient_products(
+            torn, pairs, torn.vertices[:, :2], pairs=which, times=np.ones(1), parity="odd"
+        )
     with pytest.raises(InputError, match="not of one shape"):
         gradient_products(
             blob,
@@ -82,6 +84,13 @@ def test_an_outside_that_is_not_defined_is_refused(blob):
             times=np.ones(1),
             parity="odd",
         )
+
+
+def test_recipes_turn_faces_outward_first(blob):
+    faces = blob.faces.copy()
+    faces[::3] = faces[::3, ::-1]
+    here, there = descriptors(RECIPE, blob), descriptors(RECIPE, Mesh(blob.vertices, faces))
+    np.testing.assert_allclose(here, there, atol=1e-6)
 
 
 def test_recipes_of_products_are_data():

@@ -86,3 +86,21 @@ def test_distance_from_the_nearest_of_several_sources(blob):
     within = np.isfinite(graph.distances_to_any(sources, limit=0.3))
     np.testing.assert_array_equal(within, nearest <= 0.3)
     assert np.isinf(graph.distances_to_any(np.array([], dtype=np.int64))).all()
+
+
+def test_nearest_source_is_that_of_the_smallest_distance():
+    graph = geodesic_graph(icosphere(2))
+    sources = np.array([3, 50, 120])
+    np.testing.assert_array_equal(
+        graph.nearest_source(sources), sources[graph.distances(sources).argmin(axis=0)]
+    )
+
+
+def test_no_source_is_nearest_where_none_is_reached():
+    one = icosphere(0)
+    two = Mesh(
+        np.concatenate([one.vertices, one.vertices + 5]),
+        np.concatenate([one.faces, one.faces + 12]),
+    )
+    nearest = geodesic_graph(two).nearest_source(np.array([0]))
+    np.testing.assert_array_equal(nearest, np.repeat([0, -1], 12))

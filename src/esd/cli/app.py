@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import signal
 import sys
+from collections.abc import Callable
 
 import typer
 
@@ -13,22 +14,51 @@ from esd.cli.data import data
 from esd.cli.descriptor import descriptor
 from esd.cli.doctor import doctor
 from esd.cli.evaluate import evaluate
+from esd.cli.export import export
 from esd.cli.match import match
 from esd.cli.model import model
+from esd.cli.output import telling
 from esd.cli.reproduce import reproduce
 from esd.cli.spectrum import spectrum
 from esd.cli.train import train
+from esd.cli.transfer import transfer
+from esd.cli.view import view
 from esd.common import InputError
+
+_log = logging.getLogger(__name__)
 
 app = typer.Typer(
     name="esd",
     help="Point-to-point correspondence between deformable 3D shapes.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
 )
-for command in (match, train, evaluate, spectrum, descriptor, doctor, reproduce, cache):
-    app.command()(command)
+_EXAMPLES: dict[Callable[..., None], tuple[str, ...]] = {
+    match: ("esd match a.ply b.ply -o map.csv", "esd match a.ply b.ply --view"),
+    view: (
+        "esd view a.ply b.ply map.csv --open",
+        "esd view a.ply b.ply map.csv --points a.vts b.vts -o page.html",
+    ),
+    transfer: (
+        "esd transfer a.ply b.ply map.csv --labels parts.txt -o b-parts.txt",
+        "esd transfer a.obj b.ply map.csv --texture -o b-textured.obj",
+        "esd transfer a.ply b.ply map.csv --morph 10 -o between/",
+    ),
+    export: (
+        "esd export a.ply b.ply map.csv -o a-matched.vtp",
+        "esd export a.ply b.ply map.csv -o map.vts",
+    ),
+    train: ("esd train bodies --preset paper-hks -o my-model",),
+    evaluate: ("esd evaluate bodies --include 's1[0-3]_p0[0369]'",),
+    spectrum: ("esd spectrum a.ply -k 100 -o a.npz",),
+    descriptor: ("esd descriptor a.ply --kind wks -o a-wks.npz",),
+    doctor: ("esd doctor a.ply --repair mended.ply",),
+    reproduce: ("esd reproduce table1 --data bodies -o paper",),
+    cache: ("esd cache --clear",),
+}
+for command, examples in _EXAMPLES.items():
+    lines = "\n\n".join(("Examples:", *examples))
+    app.command(epilog=lines)(telling(command))
 app.add_typer(data, name="data")
 app.add_typer(model, name="model")
 
@@ -58,9 +88,10 @@ def main() -> None:
     try:
         app()
     except InputError as error:
+        _log.info("It failed here:", exc_info=error)
         _fail(str(error))
     except ModuleNotFoundError as error:
-        extra = {"torch": "train", "matplotlib": "viz"}.get(error.name or "")
+        extra = {"torch": "train", "matplotlib": "viz", "PIL": "viz"}.get(error.name or "")
         if extra is None:
             raise
         _fail(f"This needs {error.name}: pip install 'esd[{extra}]'.")

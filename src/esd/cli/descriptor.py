@@ -8,15 +8,23 @@ from typing import Annotated
 import typer
 
 from esd.cli.doctor import tell_findings
+from esd.cli.output import ForceOption, free_path, tell
 
 
 def descriptor(
     mesh: Annotated[Path, typer.Argument(help="A mesh file.")],
     output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="FILE", help="Ends in .npy, .npz or .csv.")
-    ],
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FILE",
+            help="Ends in .npy, .npz, .h5 or .csv; by default MESH-KIND.npz.",
+        ),
+    ] = None,
     kind: Annotated[str, typer.Option(help="hks, wks, gps or sihks.")] = "hks",
     log: Annotated[bool, typer.Option(help="Take the logarithm.")] = False,
+    force: ForceOption = False,
 ) -> None:
     """Write a spectral descriptor of each vertex of MESH, one row a vertex, for unit area.
 
@@ -27,10 +35,10 @@ def descriptor(
     from esd.mesh.doctor import repair
     from esd.spectral.cache import default_cache
 
-    check_descriptor_path(output)
+    path = free_path(check_descriptor_path(output or Path(f"{mesh.stem}-{kind}.npz")), force=force)
     shape = repair(mesh)
     values = descriptors(single_recipe(kind, log=log), shape.shape, cache=default_cache())
     values = shape.carried_back(values)
     tell_findings(mesh, shape)
-    save_descriptor(values, output)
-    typer.echo(f"{kind}: {values.shape[0]} vertices, {values.shape[1]} components; {output}")
+    save_descriptor(values, path)
+    tell(f"{kind}: {values.shape[0]} vertices, {values.shape[1]} components; {path}")

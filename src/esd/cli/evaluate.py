@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from esd.cli.match import ModelOption
+from esd.cli.output import tell
 from esd.cli.train import DatasetArgument
 
 
@@ -81,6 +82,6 @@ def evaluate(
     if as_json:
         typer.echo(json.dumps({"model": loaded.name, "data": collection.name, **figures}))
         return
-    typer.echo(f"{loaded.name} on {collection.name}; errors over √area, means over pairs")
+    tell(f"{loaded.name} on {collection.name}; errors over √area, means over pairs")
     for key, value in figures.items():
-        typer.echo(f"  {key:34} {value:.4g}" if isinstance(value, float) else f"  {key:34} {value}")
+        tell(f"  {key:34} {value:.4g}" if isinstance(value, float) else f"  {key:34} {value}")

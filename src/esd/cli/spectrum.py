@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from esd.cli.doctor import tell_findings
+from esd.cli.output import ForceOption, free_path, tell
 
 
 class Operator(str, Enum):
@@ -20,11 +21,17 @@ class Operator(str, Enum):
 
 def spectrum(
     mesh: Annotated[Path, typer.Argument(help="A mesh file.")],
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="Ends in .npz.")],
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output", "-o", metavar="FILE", help="Ends in .npz; by default MESH-spectrum.npz."
+        ),
+    ] = None,
     k: Annotated[int, typer.Option("-k", help="Number of eigenpairs.")] = 300,
     laplacian: Annotated[
         Operator, typer.Option(help="Cotangent, or robust for meshes with slivers.")
     ] = Operator.cotangent,
+    force: ForceOption = False,
 ) -> None:
     """Write the smallest Laplace-Beltrami eigenpairs of MESH, for unit surface area.
 
@@ -36,11 +43,11 @@ def spectrum(
     from esd.spectral.spectrum import check_spectrum_path, save_spectrum
     from esd.spectral.spectrum import spectrum as compute
 
-    check_spectrum_path(output)
+    path = free_path(check_spectrum_path(output or Path(f"{mesh.stem}-spectrum.npz")), force=force)
     shape = repair(mesh, all_pieces=True)
     pairs = compute(shape.shape, k, kind=laplacian.value, cache=default_cache())
     pairs = pairs.carried(shape.vertex_index)
     tell_findings(mesh, shape)
-    save_spectrum(pairs, output)
+    save_spectrum(pairs, path)
     values = pairs.eigenvalues
-    typer.echo(f"{len(values)} eigenvalues from {values[0]:g} to {values[-1]:g}; {output}")
+    tell(f"{len(values)} eigenvalues from {values[0]:g} to {values[-1]:g}; {path}")

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from esd.cli.output import ForceOption, free_path, tell
+
 DatasetArgument = Annotated[
     str,
     typer.Argument(
@@ -41,6 +43,7 @@ def train(
         bool, typer.Option(help="Standardise the descriptors over the training shapes.")
     ] = True,
     log: Annotated[bool, typer.Option(help="Take the logarithm of the descriptors.")] = False,
+    force: ForceOption = False,
 ) -> None:
     """Train a model on the shapes of DATASET; an interrupted training goes on when called again."""
     from dataclasses import replace
@@ -61,6 +64,7 @@ def train(
         parts = tuple(replace(part, log=True) for part in training.recipe.descriptors)
         training = replace(training, recipe=replace(training.recipe, descriptors=parts))
     check_model_destination(output)
+    free_path(output, force=force)
     whole = open_collection(dataset)
     chosen = whole.including(include) if include else whole
     chosen = chosen.excluding_subjects(whole.testing_subjects)
@@ -76,7 +80,7 @@ def train(
     done = 0
     with progress("describing", shapes) as described, progress("training", training.steps) as went:
 
-        def tell(state: object) -> None:
+        def advance(state: object) -> None:
             nonlocal done
             step = getattr(state, "step", done)
             went(step - done)
@@ -91,7 +95,7 @@ def train(
             checkpoint=output.with_name(output.name + ".checkpoint"),
             cache=default_cache(),
             on_shape=lambda: described(1),
-            on_progress=tell,
+            on_progress=advance,
         )
     save_model(model, output)
-    typer.echo(f"trained {model.card['steps_done']} steps on {len(chosen.shapes)} shapes: {output}")
+    tell(f"trained {model.card['steps_done']} steps on {len(chosen.shapes)} shapes: {output}")

@@ -9,7 +9,7 @@ import numpy as np
 
 from esd.common import FloatArray, InputError, whole_file
 
-_SUFFIXES = (".npy", ".npz", ".csv")
+_SUFFIXES = (".npy", ".npz", ".h5", ".csv")
 
 
 def check_descriptor_path(path: str | os.PathLike[str]) -> Path:
@@ -21,7 +21,7 @@ def check_descriptor_path(path: str | os.PathLike[str]) -> Path:
 
 
 def save_descriptor(values: FloatArray, path: str | os.PathLike[str]) -> None:
-    """Write descriptors (n, d): an array, an array named `descriptors`, or a line a vertex.
+    """Write descriptors (n, d): an array, an array named `descriptors` (`.npz`, `.h5`), or lines.
 
     Raises
     ------
@@ -29,6 +29,12 @@ def save_descriptor(values: FloatArray, path: str | os.PathLike[str]) -> None:
         If the suffix is unknown or the file cannot be written.
     """
     path = check_descriptor_path(path)
+    if path.suffix.lower() == ".h5":
+        import h5py
+
+        with whole_file(path) as temporary, h5py.File(temporary, "w") as store:
+            store["descriptors"] = values
+        return
     with whole_file(path) as temporary, temporary.open("wb") as file:
         if path.suffix.lower() == ".npy":
             np.save(file, values, allow_pickle=False)

@@ -15,6 +15,7 @@ from esd.descriptors.hks import hks
 from esd.descriptors.sihks import sihks
 from esd.descriptors.wks import wks
 from esd.mesh.mesh import Mesh, PointCloud, surface_area
+from esd.mesh.topology import turned_outward
 from esd.spectral.cache import Cache
 from esd.spectral.laplacian import LaplacianKind
 from esd.spectral.spectrum import Spectrum, spectrum
@@ -35,7 +36,7 @@ class Descriptor:
     ----------
     kind
         One of `DESCRIPTOR_KINDS`, or one of the `gradient_products`: `chirality` (odd) or
-        `alignment` (even).
+        `alignment` (even), on the mesh `turned_outward`.
     count
         Number of its components.
     log
@@ -187,7 +188,7 @@ def _gradient_values(part: Descriptor, mesh: Mesh, pairs: Spectrum) -> FloatArra
     of, columns = part.options["of"], part.options["columns"]
     base = _values(Descriptor(of, _WIDTHS[of], log=True), mesh, pairs)[:, columns]
     return gradient_products(
-        mesh,
+        turned_outward(mesh),
         pairs,
         base,
         pairs=neighbour_pairs(len(columns), reach=part.options["reach"]),

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from esd.common import FloatArray, IntArray
-from esd.mesh.geodesics import EdgeGraph
+from esd.common import FloatArray, InputError, IntArray
+from esd.mesh.geodesics import EdgeGraph, geodesic_graph
+from esd.mesh.mesh import Mesh, surface_area
 
 _CHUNK = 256
 
@@ -52,6 +53,45 @@ def geodesic_errors(
         error[k], distance = distance[: k.sum()], distance[k.sum() :]
         errors.append(error)
     return tuple(errors)
+
+
+def vertex_errors(target: Mesh, predicted: IntArray, truth: IntArray) -> FloatArray:
+    """Geodesic distances on a mesh from predicted to true vertices over √area, (p,).
+
+    NaN where either is -1, infinite across components.
+    """
+    (errors,) = geodesic_errors(geodesic_graph(target), predicted, (truth,))
+    return errors / np.sqrt(surface_area(target))
+
+
+def true_map(source_points: IntArray, target_points: IntArray, source_count: int) -> IntArray:
+    """The true target vertex of each source vertex, (n,), -1 where none is known.
+
+    Parameters
+    ----------
+    source_points, target_points : (p,)
+        The vertices of both shapes at the same points, from 0; -1 for none. Where several points
+        share a source vertex, the last counts.
+
+    Raises
+    ------
+    InputError
+        If the two are not equally long, or a point lies beyond the source's vertices.
+    """
+    if len(source_points) != len(target_points):
+        raise InputError(
+            f"The shapes must have the same points; one has {len(source_points)}, "
+            f"the other {len(target_points)}."
+        )
+    if source_points.max() >= source_count:
+        raise InputError(
+            f"The points name source vertex {source_points.max()} (from 0); "
+            f"the mesh has {source_count}."
+        )
+    truth = np.full(source_count, -1, dtype=np.int64)
+    known = source_points >= 0
+    truth[source_points[known]] = target_points[known]
+    return truth
 
 
 def cumulative_curve(errors: FloatArray, radii: FloatArray) -> FloatArray:

@@ -117,10 +117,25 @@ def orientation(source: Mesh, target: Mesh, target_index: IntArray) -> float:
     return float(area[told] @ np.sign(turn[told]) / max(area[told].sum(), np.finfo(float).tiny))
 
 
-def judgement(source: Mesh, target: Mesh, target_index: IntArray, values: FloatArray) -> Judgement:
-    """The verdict on a map, from its `confidence` and its `orientation`."""
+def judgement(
+    source: Mesh,
+    target: Mesh,
+    target_index: IntArray,
+    values: FloatArray,
+    *,
+    turned_over: bool = False,
+) -> Judgement:
+    """The verdict on a map, from its `confidence` and its `orientation`.
+
+    Parameters
+    ----------
+    values : (n,)
+        The confidence.
+    turned_over
+        Whether the faces of just one of the meshes were turned before it was matched.
+    """
     accuracy = float(values.mean())
-    side = orientation(source, target, target_index)
+    side = orientation(source, target, target_index) * (-1 if turned_over else 1)
     if side < 0 and accuracy >= _FAILED:
         return Judgement("mirrored", accuracy, side)
     verdict: Verdict = (

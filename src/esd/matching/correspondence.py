@@ -7,10 +7,13 @@ import io
 import os
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from esd.common import BoolArray, FloatArray, InputError, IntArray, whole_file
+from esd.matching.confidence import Judgement
 
 MAP_SUFFIXES = (".csv", ".npy", ".txt", ".vts")
 """Suffixes of the files that hold a map."""
@@ -27,12 +30,17 @@ class Correspondence:
     distance : (n,)
         Euclidean distance of the two descriptors; infinite for none.
     confidence : (n,)
-        Between 0 and 1: the similarity of the two descriptors, exp(−distance² / C).
+        Between 0 and 1: of maps by `match` between meshes, the probability that the match is
+        within 5 % of the target's geodesic diameter of the truth; otherwise the similarity of the
+        two descriptors, exp(−distance² / C).
+    judgement
+        Of the map as a whole, where it was judged.
     """
 
     target_index: IntArray
     distance: FloatArray
     confidence: FloatArray
+    judgement: Judgement | None = None
 
     def rejecting(self, squared_distance: float) -> Correspondence:
         """The map without the matches whose squared distance is larger."""
@@ -44,9 +52,43 @@ class Correspondence:
             confidence=np.where(keep, self.confidence, 0.0),
         )
 
+    def attributes(self) -> dict[str, npt.NDArray[Any]]:
+        """What is known of each source vertex, (n,) each, by its name in files of attributes."""
+        return {
+            "target": self.target_index,
+            "distance": self.distance,
+            "confidence": self.confidence,
+        }
+
     def is_matched(self) -> BoolArray:
         """Whether each source vertex has a target vertex, (n,)."""
         return self.target_index >= 0
+
+    def _repr_html_(self) -> str:
+        """A table and a histogram of the confidence, for notebooks."""
+        matched = self.is_matched()
+        count, reached = len(matched), len(np.unique(self.target_index[matched]))
+        rows = {
+            "source vertices": f"{count}",
+            "matched": f"{matched.sum()} ({matched.mean():.0%})" if count else "0",
+            "different target vertices": f"{reached}",
+        }
+        known = self.confidence[matched & np.isfinite(self.confidence)]
+        if len(known):
+            rows["median confidence"] = f"{np.median(known):.2f}"
+            rows["confidence, 0 to 1"] = _histogram(known)
+        cells = "".join(f"<tr><th>{k}</th><td>{v}</td></tr>" for k, v in rows.items())
+        return f"<table><caption>Correspondence</caption>{cells}</table>"
+
+
+def _histogram(values: FloatArray) -> str:
+    """Twenty bars over the values from 0 to 1, as SVG."""
+    counts, _ = np.histogram(values, bins=20, range=(0, 1))
+    bars = "".join(
+        f'<rect x="{8 * i}" y="{40 - 40 * share:.1f}" width="7" height="{40 * share:.1f}"/>'
+        for i, share in enumerate(counts / counts.max())
+    )
+    return f'<svg width="160" height="40" fill="currentColor">{bars}</svg>'
 
 
 def check_map_path(path: str | os.PathLike[str]) -> Path:

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import logging
 import os
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from esd.common import FloatArray
 from esd.descriptors.recipe import recipe_spectrum
 from esd.learning.model import Model, load_model
+from esd.matching.confidence import confidence, judgement
 from esd.matching.correspondence import Correspondence
 from esd.matching.nearest import nearest
-from esd.matching.refine import mean_squared_distance, zoomout
+from esd.matching.refine import SIZES, mean_squared_distance, zoomout
 from esd.mesh.doctor import Repaired, repair
-from esd.mesh.mesh import MeshLike
+from esd.mesh.mesh import MeshLike, PointCloud
 from esd.spectral.cache import Cache, default_cache
 from esd.spectral.spectrum import Spectrum
 
@@ -22,6 +25,8 @@ _log = logging.getLogger(__name__)
 
 DEFAULT_MODEL = "default"
 """Name of the model that is used where none is given."""
+
+_BACK_SIZES = (60, 160)  # of the map back, which only serves to judge the map
 
 
 def match(
@@ -32,7 +37,7 @@ def match(
     refine: bool | None = None,
     cache: Cache | None = None,
 ) -> Correspondence:
-    """The target vertex that corresponds to each source vertex.
+    """The target vertex that corresponds to each source vertex, how surely, and a judgement.
 
     Parameters
     ----------
@@ -54,18 +59,44 @@ def match(
     """
     model = model if isinstance(model, Model) else load_model(model)
     cache = default_cache() if cache is None else cache
+    refine = model.is_oriented if refine is None else refine
     shapes = repair(source), repair(target)
-    first, second = (recipe_spectrum(model.recipe, each.shape, cache=cache) for each in shapes)
+    spectra = [recipe_spectrum(model.recipe, each.shape, cache=cache) for each in shapes]
+    embedded = [
+        model.embed_spectrum(each.shape, pairs) for each, pairs in zip(shapes, spectra, strict=True)
+    ]
     found = match_embedded(
-        model.embed_spectrum(shapes[0].shape, first),
-        model.embed_spectrum(shapes[1].shape, second),
-        margin=model.margin,
-        spectra=(first, second) if (model.is_oriented if refine is None else refine) else None,
+        *embedded, margin=model.margin, spectra=(spectra[0], spectra[1]) if refine else None
     )
+    back = match_embedded(
+        *embedded[::-1],
+        margin=model.margin,
+        spectra=(spectra[1], spectra[0]) if refine else None,
+        sizes=_BACK_SIZES,
+    )
+    found = _judged(found, back, *shapes)
     for name, each in zip(("source", "target"), shapes, strict=True):
         if each.in_a_line():
             _log.warning("The %s has %s.", name, each.in_a_line())
     return for_original_vertices(found, *shapes)
+
+
+def _judged(
+    match: Correspondence, back: Correspondence, source: Repaired, target: Repaired
+) -> Correspondence:
+    """The map with its confidence and a judgement; points without faces give no evidence."""
+    if isinstance(source.shape, PointCloud) or isinstance(target.shape, PointCloud):
+        return match
+    values = confidence(source.shape, target.shape, match.target_index, back.target_index)
+    turned = ["inside_out_pieces" in each.done for each in (source, target)]
+    verdict = judgement(
+        source.shape,
+        target.shape,
+        match.target_index,
+        values,
+        turned_over=turned[0] != turned[1],
+    )
+    return replace(match, confidence=values, judgement=verdict)
 
 
 def for_original_vertices(
@@ -74,10 +105,11 @@ def for_original_vertices(
     """The map between the original vertices, of one between repaired shapes."""
     index = match.target_index[source.vertex_index]
     matched = (source.vertex_index >= 0) & (index >= 0)
-    return Correspondence(
-        np.where(matched, target.original_index[index], -1),
-        np.where(matched, match.distance[source.vertex_index], np.inf),
-        np.where(matched, match.confidence[source.vertex_index], 0.0),
+    return replace(
+        match,
+        target_index=np.where(matched, target.original_index[index], -1),
+        distance=np.where(matched, match.distance[source.vertex_index], np.inf),
+        confidence=np.where(matched, match.confidence[source.vertex_index], 0.0),
     )
 
 
@@ -87,6 +119,7 @@ def match_embedded(
     *,
     margin: float | None,
     spectra: tuple[Spectrum, Spectrum] | None = None,
+    sizes: Sequence[int] = SIZES,
 ) -> Correspondence:
     """The nearest row of `target` (m, d) to each row of `source` (n, d) as a correspondence.
 
@@ -99,10 +132,12 @@ def match_embedded(
     spectra
         Of the source and the target; the map is then refined by `zoomout`, and the distances are
         those of the refined matches.
+    sizes
+        Of the steps of `zoomout`.
     """
     index, distance = nearest(source, target)
     if spectra is not None:
-        index = zoomout(*spectra, index, embeddings=(source, target))
+        index = zoomout(*spectra, index, sizes=sizes, embeddings=(source, target))
         reached = np.linalg.norm(source - target[index], axis=1)
         distance = np.where(index >= 0, reached, np.inf)
     scale = mean_squared_distance(source, target) if margin is None else margin

@@ -39,6 +39,13 @@ class EdgeGraph:
             )
         )
 
+    def nearest_source(self, sources: IntArray) -> IntArray:
+        """Which of some vertices is the nearest to each vertex, (n,); -1 where none is reached."""
+        _, _, nearest = csgraph.dijkstra(
+            self.weights, indices=sources, min_only=True, return_predecessors=True
+        )
+        return np.maximum(np.asarray(nearest, dtype=np.int64), -1)
+
 
 def geodesic_graph(mesh: Mesh) -> EdgeGraph:
     """Edges of the mesh, and the straight lines across each pair of neighbouring faces.

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
+from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -164,6 +166,40 @@ def as_arrays(source: MeshLike) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
         "Expected a mesh: a path, (vertices, faces), or a trimesh, meshio or pyvista mesh; "
         f"got {type(source).__name__}."
     )
+
+
+def with_attributes(source: MeshLike, attributes: Mapping[str, npt.NDArray[Any]]) -> Any:
+    """A copy of a trimesh, meshio or pyvista mesh with attributes of its vertices.
+
+    They are in `vertex_attributes` of trimesh, `point_data` of meshio and pyvista.
+
+    Parameters
+    ----------
+    attributes
+        Such as `Correspondence.attributes()`: arrays (n, ...).
+
+    Raises
+    ------
+    InputError
+        If `source` is none of these, or an attribute has another length.
+    """
+    for place in ("point_data", "vertex_attributes"):
+        if hasattr(source, place):
+            break
+    else:
+        raise InputError(
+            f"Expected a trimesh, meshio or pyvista mesh; got {type(source).__name__}."
+        )
+    count = len(as_mesh(source).vertices)
+    for name, values in attributes.items():
+        if len(values) != count:
+            raise InputError(
+                f"The attribute '{name}' must have a value for each of {count} vertices; "
+                f"got {len(values)}."
+            )
+    result = deepcopy(source)
+    getattr(result, place).update(attributes)
+    return result
 
 
 def _pyvista_triangles(padded: npt.NDArray[Any]) -> npt.NDArray[Any]:

@@ -52,6 +52,7 @@ class Cache:
                     raise ValueError("it is compressed, which entries are not")
                 arrays = dict(archive)
             os.utime(path)
+            _log.info("Found in the cache: %s", path)
         except FileNotFoundError:
             return None
         except (OSError, ValueError, EOFError, KeyError, MemoryError, zipfile.BadZipFile) as error:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 import os
+import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,6 +16,8 @@ from esd.mesh.mesh import Mesh, PointCloud, components, is_referenced, surface_a
 from esd.spectral.cache import Arrays, Cache, content_key
 from esd.spectral.eigensolver import eigenpairs
 from esd.spectral.laplacian import LaplacianKind, SparseMatrix, laplacian
+
+_log = logging.getLogger(__name__)
 
 _SOLVER_VERSION = 2  # part of the cache's keys; raised when the eigenpairs may change
 
@@ -171,7 +175,10 @@ def _solved(
     matrix: SparseMatrix, mass: FloatArray, k: int, used: BoolArray, zero_modes: int
 ) -> Arrays:
     area = mass.sum()
+    start = time.perf_counter()
     solution = eigenpairs(matrix[used][:, used], mass[used] / area, k)
+    seconds = time.perf_counter() - start
+    _log.info("%d eigenpairs of %d vertices were computed in %.1f s.", k, used.sum(), seconds)
     eigenvectors = np.zeros((len(mass), k))
     eigenvectors[used] = solution.eigenvectors
     eigenvalues = solution.eigenvalues.copy()
@@ -179,10 +186,12 @@ def _solved(
     return {"eigenvalues": eigenvalues, "eigenvectors": eigenvectors, "mass": mass / area}
 
 
-def check_spectrum_path(path: str | os.PathLike[str]) -> None:
-    """Raise an `InputError` unless a spectrum can be written to a path of such a name."""
-    if Path(path).suffix.lower() != ".npz":
+def check_spectrum_path(path: str | os.PathLike[str]) -> Path:
+    """The path, if a spectrum can be written to it; raises an `InputError` otherwise."""
+    path = Path(path)
+    if path.suffix.lower() != ".npz":
         raise InputError(f"'{path}': spectra are written as .npz files.")
+    return path
 
 
 def save_spectrum(result: Spectrum, path: str | os.PathLike[str]) -> None:
@@ -193,7 +202,7 @@ def save_spectrum(result: Spectrum, path: str | os.PathLike[str]) -> None:
     InputError
         If the suffix is another, or the file cannot be written.
     """
-    check_spectrum_path(path)
+    path = check_spectrum_path(path)
     with whole_file(path) as temporary, temporary.open("wb") as file:
         np.savez(
             file,

@@ -20,7 +20,8 @@ from esd.experiments.setting import KINDS
 from esd.experiments.table1 import SHOWN, Table1Outcome
 from esd.experiments.transfer import UNEMBEDDED, TransferOutcome
 from esd.learning.losses import PairCriteria
-from esd.viewing.figures import UNMATCHED, draw_mesh, position_colours
+from esd.viewing.colours import UNMATCHED, position_colours
+from esd.viewing.figures import draw_mesh
 
 Figures = dict[str, Figure]
 

@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
 from matplotlib.collections import PolyCollection
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from esd.common import FloatArray, InputError, whole_file
+from esd.evaluation.errors import cumulative_curve
 from esd.matching.correspondence import Correspondence
 from esd.mesh.mesh import Mesh, face_normals
+from esd.viewing.colours import UNMATCHED, carried_colours, position_colours
 
 _LIGHT = np.array([-0.4, 0.3, 0.85])
-UNMATCHED = np.array([0.75, 0.75, 0.75])
+_DASHES = ("-", "--", "-.", ":")
+# colours that people with colour blindness tell apart: Okabe and Ito 2008, without the yellow
+_OKABE_ITO = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 
 
 def match_figure(source: Mesh, target: Mesh, match: Correspondence, *, up: str = "z") -> Figure:
@@ -34,19 +41,101 @@ def match_figure(source: Mesh, target: Mesh, match: Correspondence, *, up: str =
     InputError
         If the axis is another.
     """
-    if up not in ("y", "z"):
-        raise InputError(f"`up` must be 'y' or 'z'; got '{up}'.")
+    _check_up(up)
     colours = position_colours(target)
-    carried = np.where(
-        match.is_matched()[:, None], colours[np.maximum(match.target_index, 0)], UNMATCHED
-    )
-    figure = Figure(figsize=(8, 6), layout="constrained")
-    FigureCanvasAgg(figure)
-    panels = figure.subplots(1, 2)
+    carried = carried_colours(colours, match.target_index)
+    figure, panels = _panels(2)
     shown = ((source, carried, "source, by the map"), (target, colours, "target"))
     for axes, (mesh, colour, title) in zip(panels, shown, strict=True):
         draw_mesh(axes, mesh, colour, up)
         axes.set_title(title)
+    return figure
+
+
+def values_figure(
+    mesh: Mesh,
+    values: Mapping[str, FloatArray],
+    *,
+    up: str = "z",
+    largest: float | None = None,
+    colour_map: str = "viridis",
+    label: str = "",
+) -> Figure:
+    """A shape once for each array of values at its vertices, such as errors or descriptors.
+
+    Each has its own scale, unless `largest` is given. Vertices without a value are grey.
+
+    Parameters
+    ----------
+    values
+        Arrays (n,) by their titles.
+    largest
+        End of the scale of all, which then begins at zero.
+    colour_map
+        Name of a map of matplotlib; the default's lightness rises evenly, so that it survives
+        colour blindness and grey print.
+    label
+        Of the scale.
+
+    Raises
+    ------
+    InputError
+        If values do not fit the mesh, there are none, or the axis is neither `y` nor `z`.
+    """
+    _check_up(up)
+    if not values:
+        raise InputError("There are no values to draw.")
+    for title, array in values.items():
+        if array.shape != (len(mesh.vertices),):
+            raise InputError(
+                f"The values '{title}' must have shape ({len(mesh.vertices)},); got {array.shape}."
+            )
+    figure, panels = _panels(len(values))
+    for axes, (title, array) in zip(panels, values.items(), strict=True):
+        known = np.isfinite(array)
+        scale = Normalize(0, largest) if largest else Normalize(*_range(array[known]))
+        mappable = ScalarMappable(scale, colour_map)
+        colours = mappable.to_rgba(np.where(known, array, 0))[:, :3]
+        draw_mesh(axes, mesh, np.where(known[:, None], colours, UNMATCHED), up)
+        axes.set_title(title)
+        figure.colorbar(mappable, ax=axes, shrink=0.6, label=label)
+    return figure
+
+
+def curves_figure(
+    errors: Mapping[str, FloatArray], *, largest: float = 0.25, label: str = "error / √area"
+) -> Figure:
+    """Share of points with at most an error, over the error: the curves of the field.
+
+    Parameters
+    ----------
+    errors
+        Arrays by the name of the method; NaN counts as larger than any.
+    largest
+        Right end of the axis, in the errors' unit.
+    label
+        Of that axis.
+
+    Raises
+    ------
+    InputError
+        If there are no errors.
+    """
+    if not errors:
+        raise InputError("There are no errors to draw.")
+    figure = Figure(figsize=(6, 4), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots()
+    radii = np.linspace(0, largest, 201)
+    for i, (name, array) in enumerate(errors.items()):
+        style: dict[str, Any] = {
+            "color": _OKABE_ITO[i % len(_OKABE_ITO)],
+            "linestyle": _DASHES[i % len(_DASHES)],
+        }
+        axes.plot(radii, 100 * cumulative_curve(array, radii), label=name, **style)
+    axes.set(xlim=(0, largest), ylim=(0, 100), xlabel=label, ylabel="points (%)")
+    axes.grid(alpha=0.3)
+    axes.legend(loc="lower right")
     return figure
 
 
@@ -56,25 +145,24 @@ def save_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
         figure.savefig(temporary, dpi=150)
 
 
-def position_colours(mesh: Mesh) -> FloatArray:
-    """A colour of each vertex, (n, 3) between 0 and 1, that changes smoothly over space."""
-    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
-    relative = (mesh.vertices - low) / np.maximum(high - low, np.finfo(float).tiny)
-    return np.asarray(0.1 + 0.85 * relative)
+def _check_up(up: str) -> None:
+    if up not in ("y", "z"):
+        raise InputError(f"`up` must be 'y' or 'z'; got '{up}'.")
+
+
+def _panels(count: int) -> tuple[Figure, Sequence[Any]]:
+    """A figure without a display, and its panels side by side."""
+    figure = Figure(figsize=(4 * count, 6), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure, figure.subplots(1, count, squeeze=False)[0]
+
+
+def _range(values: FloatArray) -> tuple[float, float]:
+    return (float(values.min()), float(values.max())) if len(values) else (0.0, 1.0)
 
 
 def draw_mesh(axes: Any, mesh: Mesh, colours: FloatArray, up: str) -> None:
-    """Draw the faces that look at the viewer, the farthest first.
-
-    Parameters
-    ----------
-    axes
-        Of matplotlib.
-    colours : (n, 3)
-        Of the vertices, between 0 and 1.
-    up
-        The axis, `y` or `z`, that points up.
-    """
+    """Draw the faces that look at the viewer, the farthest first."""
     right, forward, vertical = (0, 1, 2) if up == "z" else (0, 2, 1)
     toward = -1 if up == "z" else 1
     normals = face_normals(mesh)

@@ -1,0 +1,53 @@
+"""Hook of mkdocs: draws the pictures of the pages from shapes that ship with the package."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from esd.datasets.bodies import bodies
+from esd.descriptors.recipe import descriptors, single_recipe
+from esd.evaluation.errors import true_map, vertex_errors
+from esd.matching.match import match
+from esd.spectral.cache import default_cache
+from esd.viewing.figures import curves_figure, match_figure, save_figure, values_figure
+from esd.viewing.page import view
+
+PICTURES = Path(__file__).parent / "pictures"
+
+
+def on_pre_build(config: Any) -> None:
+    """Make what is missing; `make clean` removes it."""
+    PICTURES.mkdir(exist_ok=True)
+    if (PICTURES / "page.html").exists():
+        return
+    collection = bodies()
+    shapes = collection["s10_p01"], collection["s12_p05"]
+    source, target = (shape.mesh() for shape in shapes)
+    points = [shape.correspondence() for shape in shapes]
+    truth = true_map(points[0], points[1], len(source.vertices))
+    maps = {name: match(source, target, model=name) for name in ("default", "wks", "hks")}
+    errors = {
+        name: vertex_errors(target, found.target_index, truth) for name, found in maps.items()
+    }
+    known = {name: error[truth >= 0] for name, error in errors.items()}
+    save_figure(match_figure(source, target, maps["default"]), PICTURES / "match.png")
+    save_figure(curves_figure(known), PICTURES / "curves.png")
+    wks = descriptors(single_recipe("wks"), source, cache=default_cache())
+    shown = {
+        "WKS, component 10": wks[:, 10],
+        "WKS, component 50": wks[:, 50],
+        "error / √area": np.minimum(errors["default"], 0.5),
+    }
+    save_figure(values_figure(source, shown), PICTURES / "values.png")
+    page = view(
+        source,
+        target,
+        maps["default"],
+        error=errors["default"],
+        source_name="s10_p01",
+        target_name="s12_p05",
+    )
+    page.save(PICTURES / "page.html")

@@ -1,0 +1,117 @@
+"""`esd view`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from esd.cli.output import ForceOption, free_path, tell
+
+if TYPE_CHECKING:
+    from esd.common import FloatArray
+    from esd.matching.correspondence import Correspondence
+    from esd.mesh.mesh import Mesh
+
+SourceArgument = Annotated[Path, typer.Argument(help="Mesh whose vertices are mapped.")]
+TargetArgument = Annotated[Path, typer.Argument(help="Mesh that they are mapped to.")]
+MapArgument = Annotated[
+    Path, typer.Argument(metavar="MAP", help="The map, as `esd match` writes it.")
+]
+TruthOption = Annotated[
+    Path | None, typer.Option("--truth", metavar="MAP", help="The true map, to show the error.")
+]
+PointsOption = Annotated[
+    tuple[Path, Path] | None,
+    typer.Option(
+        "--points",
+        metavar="SOURCE.vts TARGET.vts",
+        help="Instead: the vertices of both shapes at the same points, one a line, from 1.",
+    ),
+]
+
+
+def view(
+    source: SourceArgument,
+    target: TargetArgument,
+    map: MapArgument,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", metavar="PAGE", help="By default SOURCE-TARGET.html."),
+    ] = None,
+    truth: TruthOption = None,
+    points: PointsOption = None,
+    up: Annotated[
+        str | None, typer.Option(help="The axis that points up: x, y or z; guessed by default.")
+    ] = None,
+    open_page: Annotated[bool, typer.Option("--open", help="Open the page in a browser.")] = False,
+    force: ForceOption = False,
+) -> None:
+    """Write one web page that shows SOURCE and TARGET side by side with their map.
+
+    The page needs no network. Point at a shape to see the match; press ? for its keys.
+    """
+    from esd.matching.correspondence import load_map
+    from esd.mesh.mesh import as_mesh
+    from esd.viewing.page import check_page_path
+
+    path = free_path(output or Path(f"{source.stem}-{target.stem}.html"), force=force)
+    check_page_path(path)
+    source_mesh, target_mesh = as_mesh(source), as_mesh(target)
+    counts = {
+        "source_count": len(source_mesh.vertices),
+        "target_count": len(target_mesh.vertices),
+    }
+    match = load_map(map, **counts)
+    error = true_error(source_mesh, target_mesh, match, truth, points)
+    write_page((source, source_mesh), (target, target_mesh), match, path, error=error, up=up)
+    tell(f"written to {path}")
+    if open_page:
+        typer.launch(str(path.resolve()))
+
+
+def write_page(
+    source: tuple[Path, Mesh],
+    target: tuple[Path, Mesh],
+    match: Correspondence,
+    path: Path,
+    *,
+    error: FloatArray | None = None,
+    up: str | None = None,
+) -> None:
+    """Write the page of a map between two mesh files."""
+    from esd.viewing.page import view as page_of
+
+    names = {"source_name": source[0].name, "target_name": target[0].name}
+    page_of(source[1], target[1], match, error=error, up=up, **names).save(path)
+
+
+def true_error(
+    source: Mesh,
+    target: Mesh,
+    match: Correspondence,
+    truth: Path | None,
+    points: tuple[Path, Path] | None,
+) -> FloatArray | None:
+    """Geodesic error at each source vertex over √area, (n,), if the truth is given."""
+    from esd.common import InputError
+    from esd.datasets.folder import read_vts
+    from esd.evaluation.errors import true_map, vertex_errors
+    from esd.matching.correspondence import load_map
+
+    if truth and points:
+        raise InputError("Give --truth or --points, not both.")
+    counts = {"source_count": len(source.vertices), "target_count": len(target.vertices)}
+    if truth:
+        known = load_map(truth, **counts).target_index
+    elif points:
+        known = true_map(read_vts(points[0]), read_vts(points[1]), counts["source_count"])
+        if known.max() >= counts["target_count"]:
+            raise InputError(
+                f"'{points[1]}' names vertex {known.max() + 1} (from 1); "
+                f"'{target}' has {counts['target_count']}."
+            )
+    else:
+        return None
+    return vertex_errors(target, match.target_index, known)

@@ -1,0 +1,304 @@
+"""Carrying what people have on one shape to another along a map, and shapes between the two."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy import sparse
+from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
+from trimesh import triangles as trimesh_triangles
+
+from esd.common import FloatArray, InputError, IntArray
+from esd.matching.correspondence import Correspondence
+from esd.mesh.geodesics import geodesic_graph
+from esd.mesh.mesh import Mesh, edge_lengths, is_referenced, surface_area, vertex_areas
+
+Method = Literal["barycentric", "nearest"]
+
+_TORN = 5  # a face whose image has edges this many times too long lies across a tear of the map
+_CHUNK = 20_000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Places:
+    """Places on a mesh.
+
+    Parameters
+    ----------
+    face : (p,) int64
+        The face of each place; -1 for none.
+    weights : (p, 3)
+        Barycentric weights of the corners of the face.
+    """
+
+    face: IntArray
+    weights: FloatArray
+
+
+def vertex_places(
+    source: Mesh, target: Mesh, match: Correspondence, *, method: Method = "barycentric"
+) -> Places:
+    """The place on the source of each vertex of the target.
+
+    The map takes the source's faces onto the target; a target vertex belongs where it lies in such
+    a face (`barycentric`). With `nearest`, and where there is no such face, it belongs to the
+    source vertex that is mapped nearest to it, by geodesic distance; of several source vertices
+    with one image, that of the best match.
+
+    Raises
+    ------
+    InputError
+        If the map does not fit the meshes, or has no match.
+    """
+    vertices = np.arange(len(target.vertices))
+    return _places(source, target, match, target.vertices, vertices[:, None], method)
+
+
+def face_places(
+    source: Mesh, target: Mesh, match: Correspondence, *, method: Method = "barycentric"
+) -> Places:
+    """The place on the source of the middle of each face of the target; see `vertex_places`."""
+    middle = target.vertices[target.faces].mean(axis=1)
+    return _places(source, target, match, middle, target.faces, method)
+
+
+def carried_values(values: FloatArray, source: Mesh, places: Places) -> FloatArray:
+    """Values (n, ...) at the source's vertices, interpolated at some places; NaN for none.
+
+    Raises
+    ------
+    InputError
+        If there is not one value for each vertex of the source.
+    """
+    _check_length(values, len(source.vertices), "value for each vertex")
+    corners = np.asarray(values, dtype=float)[source.faces[places.face]]
+    result = np.einsum("pc,pc...->p...", places.weights, corners)
+    result[places.face < 0] = np.nan
+    return result
+
+
+def carried_labels(labels: IntArray, source: Mesh, places: Places) -> IntArray:
+    """Labels (n,) of the source's vertices at some places: that of most weight; -1 for none.
+
+    Raises
+    ------
+    InputError
+        If there is not one label for each vertex of the source.
+    """
+    _check_length(labels, len(source.vertices), "label for each vertex")
+    corners = np.asarray(labels)[source.faces[places.face]]
+    votes = np.einsum("pc,pcd->pd", places.weights, corners[:, :, None] == corners[:, None, :])
+    winner = np.take_along_axis(corners, votes.argmax(axis=1)[:, None], axis=1)[:, 0]
+    return np.where(places.face >= 0, winner, -1)
+
+
+def carried_face_labels(labels: IntArray, source: Mesh, places: Places) -> IntArray:
+    """Labels (m,) of the source's faces at some places; -1 for none.
+
+    Raises
+    ------
+    InputError
+        If there is not one label for each face of the source.
+    """
+    _check_length(labels, len(source.faces), "label for each face")
+    return np.where(places.face >= 0, np.asarray(labels)[places.face], -1)
+
+
+def carried_texture(
+    coordinates: FloatArray, source: Mesh, target: Mesh, match: Correspondence
+) -> FloatArray:
+    """Texture coordinates at the corners of the target's faces, (m, 3, 2).
+
+    A target face that lies across a seam of the texture is coloured from the side of the seam on
+    which its middle lies: the coordinates there go on beyond the seam.
+
+    Parameters
+    ----------
+    coordinates : (k, 3, 2)
+        At the corners of the source's faces.
+
+    Raises
+    ------
+    InputError
+        If the coordinates or the map do not fit the meshes, or part of the target is out of reach.
+    """
+    _check_length(coordinates, len(source.faces), "triple of texture coordinates for each face")
+    at_vertices = vertex_places(source, target, match)
+    middle = face_places(source, target, match)
+    if (at_vertices.face[target.faces] < 0).any() or (middle.face < 0).any():
+        raise InputError("Part of the target has no match on any of its vertices; no texture.")
+
+    def interpolated(places: Places) -> FloatArray:
+        return np.asarray(np.einsum("pc,pcd->pd", places.weights, coordinates[places.face]))
+
+    direct = interpolated(at_vertices)[target.faces]
+    centre = interpolated(middle)[:, None]
+    image = target.vertices[match.target_index[source.faces[middle.face]]]
+    corners = target.vertices[target.faces]
+    going_on = np.empty_like(direct)
+    for corner in range(3):
+        with np.errstate(divide="ignore", invalid="ignore"):  # images of faces may have no area
+            weights = trimesh_triangles.points_to_barycentric(image, corners[:, corner])
+        going_on[:, corner] = np.einsum("pc,pcd->pd", weights, coordinates[middle.face])
+    is_across = np.linalg.norm(direct - centre, axis=2) > 2 * np.linalg.norm(
+        going_on - centre, axis=2
+    )
+    return np.where(is_across.any(axis=1)[:, None, None], going_on, direct)
+
+
+def carried_landmarks(vertices: IntArray, match: Correspondence) -> IntArray:
+    """Target vertices, (l,), of some source vertices; -1 for none.
+
+    Raises
+    ------
+    InputError
+        If a landmark is no vertex of the source.
+    """
+    vertices = np.asarray(vertices)
+    count = len(match.target_index)
+    if len(vertices) and not (vertices.min() >= 0 and vertices.max() < count):
+        raise InputError(
+            f"Landmarks must be vertices from 0 to {count - 1}; "
+            f"got {vertices.min()} to {vertices.max()}."
+        )
+    return match.target_index[vertices]
+
+
+def aligned_image(source: Mesh, target: Mesh, match: Correspondence) -> FloatArray:
+    """Positions (n, 3) of the matched points of the target, moved rigidly onto the source.
+
+    The motion minimises the squared distances of matched points, weighted by area (Kabsch 1976).
+    Source vertices without a match take the displacement of the nearest one that has one.
+
+    Raises
+    ------
+    InputError
+        If the map does not fit the meshes, or has no match.
+    """
+    _check_fit(source, target, match)
+    matched = match.is_matched()
+    here, there = source.vertices[matched], target.vertices[match.target_index[matched]]
+    weights = vertex_areas(source)[matched]
+    weights = weights / weights.sum() if weights.any() else np.full(len(here), 1 / len(here))
+    here_centre, there_centre = weights @ here, weights @ there
+    rotation, _ = Rotation.align_vectors(here - here_centre, there - there_centre, weights)
+    moved = rotation.apply(there - there_centre) + here_centre
+    _, nearest = KDTree(here).query(source.vertices)
+    return np.asarray(source.vertices + (moved - here)[nearest])
+
+
+def in_between(
+    source: Mesh, target: Mesh, match: Correspondence, *, count: int
+) -> tuple[Mesh, ...]:
+    """Shapes from the source to its image on the target, both included, with the source's faces.
+
+    Vertices move on straight lines, after the target has been moved rigidly onto the source.
+
+    Raises
+    ------
+    InputError
+        If `count` is less than two, or the map does not fit the meshes or has no match.
+    """
+    if count < 2:
+        raise InputError(f"`count` must be two or more, the ends among them; got {count}.")
+    image = aligned_image(source, target, match)
+    shares = np.linspace(0, 1, count)
+    return tuple(Mesh((1 - t) * source.vertices + t * image, source.faces) for t in shares)
+
+
+def _places(
+    source: Mesh,
+    target: Mesh,
+    match: Correspondence,
+    points: FloatArray,
+    near: IntArray,
+    method: Method,
+) -> Places:
+    """Places of points of the target (p, 3), each near some of its vertices (p, c)."""
+    _check_fit(source, target, match)
+    usable = np.flatnonzero(match.is_matched() & is_referenced(source))
+    if len(usable) == 0:
+        raise InputError("No face of the source has a match.")
+    usable = usable[np.lexsort((match.distance[usable], match.target_index[usable]))]
+    hit, first = np.unique(match.target_index[usable], return_index=True)
+    hits = geodesic_graph(target).nearest_source(hit)[near]
+    reach = np.linalg.norm(points[:, None] - target.vertices[hits], axis=2)
+    reach[hits < 0] = np.inf
+    first_choice = reach.argmin(axis=1)[:, None]
+    speaker = np.full(len(target.vertices) + 1, -1)  # one more, which stands for none
+    speaker[hit] = usable[first]
+    places = _at_vertices(source, speaker[np.take_along_axis(hits, first_choice, axis=1)[:, 0]])
+    if method == "nearest":
+        return places
+
+    image = match.target_index[source.faces]
+    touching = _faces_at_images(source, target, image)
+    best = np.take_along_axis(reach, first_choice, axis=1)[:, 0]
+    for start in range(0, len(points), _CHUNK):
+        chunk, column = np.nonzero(hits[start : start + _CHUNK] >= 0)
+        rows = touching[hits[start + chunk, column]]
+        which = np.repeat(start + chunk, np.diff(rows.indptr))
+        triangles = target.vertices[image[rows.indices]]
+        closest = trimesh_triangles.closest_point(triangles, points[which])
+        distance = np.linalg.norm(closest - points[which], axis=1)
+        order = np.lexsort((distance, which))
+        order = order[np.unique(which[order], return_index=True)[1]]
+        order = order[distance[order] < best[which[order]]]
+        places.face[which[order]] = rows.indices[order]
+        places.weights[which[order]] = trimesh_triangles.points_to_barycentric(
+            triangles[order], closest[order]
+        )
+    return places
+
+
+def _at_vertices(source: Mesh, vertices: IntArray) -> Places:
+    """Some of the source's vertices as places; -1 for none."""
+    some_corner = np.zeros(len(source.vertices) + 1, dtype=np.int64)
+    some_corner[source.faces.ravel()] = np.arange(source.faces.size)
+    corner = some_corner[vertices]
+    weights = np.zeros((len(vertices), 3))
+    weights[np.arange(len(vertices)), corner % 3] = 1
+    return Places(np.where(vertices >= 0, corner // 3, -1), weights)
+
+
+def _faces_at_images(source: Mesh, target: Mesh, image: IntArray) -> sparse.csr_array:
+    """Which source faces have a corner at which target vertex, without those the map destroys.
+
+    Left out are faces that lose a corner, collapse, or are torn apart.
+    """
+    corners = target.vertices[image]
+    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    scale = np.sqrt(surface_area(target) / surface_area(source))
+    usual = np.maximum(scale * edge_lengths(source).max(axis=1), edge_lengths(target).mean())
+    area = np.linalg.norm(
+        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+    )
+    keep = (image >= 0).all(axis=1) & (longest <= _TORN * usual) & (area > 1e-9 * longest**2)
+    face = np.flatnonzero(keep)
+    return sparse.csr_array(
+        (np.ones(3 * len(face)), (image[face].ravel(), np.repeat(face, 3))),
+        shape=(len(target.vertices), len(image)),
+    )
+
+
+def _check_fit(source: Mesh, target: Mesh, match: Correspondence) -> None:
+    if len(match.target_index) != len(source.vertices):
+        raise InputError(
+            f"The map has {len(match.target_index)} vertices; the source mesh has "
+            f"{len(source.vertices)}."
+        )
+    if match.target_index.max() >= len(target.vertices):
+        raise InputError(
+            f"The map names target vertex {match.target_index.max()} (from 0); the target mesh "
+            f"has {len(target.vertices)}."
+        )
+    if not match.is_matched().any():
+        raise InputError("The map has no match.")
+
+
+def _check_length(values: FloatArray | IntArray, count: int, what: str) -> None:
+    if len(values) != count:
+        raise InputError(f"Expected one {what} of the source, {count} in all; got {len(values)}.")

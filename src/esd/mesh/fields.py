@@ -1,0 +1,211 @@
+"""Files of what is known at the vertices or faces of a mesh: labels, values, landmarks."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import KDTree
+
+from esd.common import FloatArray, InputError, IntArray, whole_file
+from esd.mesh.mesh import Mesh
+
+_SUFFIXES = (".npy", ".csv", ".txt")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Landmarks:
+    """Named vertices of a mesh.
+
+    Parameters
+    ----------
+    names
+        One for each landmark.
+    vertices : (l,) int64
+        From 0; -1 for none.
+    """
+
+    names: tuple[str, ...]
+    vertices: IntArray
+
+
+def check_field_path(path: str | os.PathLike[str]) -> Path:
+    """The path, if labels or values can be in it; raises an `InputError` otherwise."""
+    path = Path(path)
+    if path.suffix.lower() not in _SUFFIXES:
+        raise InputError(f"'{path}': expected a name that ends in {', '.join(_SUFFIXES)}.")
+    return path
+
+
+def read_labels(path: str | os.PathLike[str]) -> tuple[IntArray, tuple[str, ...] | None]:
+    """Labels in a file, and their names where the file holds words; labels then count these.
+
+    A `.npy` file holds integers (n,), a `.txt` or `.csv` file one integer or word a line.
+
+    Raises
+    ------
+    InputError
+        If there is no such file or it holds something else.
+    """
+    path = _existing(path)
+    if path.suffix.lower() == ".npy":
+        array = _load(path)
+        if array.ndim != 1 or array.dtype.kind not in "iu":
+            raise InputError(
+                f"'{path}' must hold integers of shape (n,); got {array.dtype} {array.shape}."
+            )
+        return array.astype(np.int64), None
+    words = [line.strip() for line in _text(path).splitlines() if line.strip()]
+    if not words:
+        raise InputError(f"'{path}' is empty.")
+    try:
+        return np.array(words, dtype=np.int64), None
+    except (ValueError, OverflowError):
+        names, labels = np.unique(words, return_inverse=True)
+        return labels, tuple(names.tolist())
+
+
+def write_labels(
+    labels: IntArray, path: str | os.PathLike[str], names: tuple[str, ...] | None = None
+) -> None:
+    """Write labels as `read_labels` reads them; the name of -1 is `none`.
+
+    Raises
+    ------
+    InputError
+        If the suffix is unknown or the file cannot be written.
+    """
+    path = check_field_path(path)
+    if path.suffix.lower() == ".npy":
+        _save(labels, path)
+        return
+    words = map(str, labels) if names is None else np.array(("none", *names))[labels + 1]
+    with whole_file(path) as temporary:
+        temporary.write_text("".join(f"{word}\n" for word in words), encoding="utf-8")
+
+
+def read_values(path: str | os.PathLike[str]) -> FloatArray:
+    """Numbers in a file, (n,) or (n, d): an array, or a line for each vertex.
+
+    Raises
+    ------
+    InputError
+        If there is no such file or it holds something else.
+    """
+    path = _existing(path)
+    if path.suffix.lower() == ".npy":
+        array = _load(path)
+        if array.ndim not in (1, 2) or array.dtype.kind not in "iuf":
+            raise InputError(
+                f"'{path}' must hold numbers, (n,) or (n, d); got {array.dtype} {array.shape}."
+            )
+        return array.astype(float)
+    text = _text(path).replace(",", " ")
+    if not text.strip():
+        raise InputError(f"'{path}' is empty.")
+    try:
+        values = np.loadtxt(io.StringIO(text), ndmin=2)
+    except ValueError as error:
+        raise InputError(f"'{path}' must hold numbers, a line a vertex: {error}") from error
+    return values[:, 0] if values.shape[1] == 1 else values
+
+
+def write_values(values: FloatArray, path: str | os.PathLike[str]) -> None:
+    """Write values as `read_values` reads them.
+
+    Raises
+    ------
+    InputError
+        If the suffix is unknown or the file cannot be written.
+    """
+    path = check_field_path(path)
+    if path.suffix.lower() == ".npy":
+        _save(values, path)
+        return
+    with whole_file(path) as temporary:
+        np.savetxt(temporary, values, delimiter=",", fmt="%.9g")
+
+
+def read_landmarks(path: str | os.PathLike[str], mesh: Mesh) -> Landmarks:
+    """Landmarks of a mesh in a `.csv` file.
+
+    Its columns are `name` and `vertex`, from 0, or `name`, `x`, `y` and `z`: then the nearest
+    vertex is taken.
+
+    Raises
+    ------
+    InputError
+        If there is no such file, it has other columns, or a landmark is no vertex of the mesh.
+    """
+    path = _existing(path)
+    rows = list(csv.DictReader(io.StringIO(_text(path))))
+    columns = set(rows[0]) if rows else set()
+    if not ({"name", "vertex"} <= columns or {"name", "x", "y", "z"} <= columns):
+        raise InputError(f"'{path}' must have the columns name,vertex or name,x,y,z.")
+    try:
+        if "vertex" in columns:
+            vertices = np.array([int(row["vertex"]) for row in rows])
+        else:
+            points = np.array([[float(row[axis]) for axis in "xyz"] for row in rows])
+            vertices = KDTree(mesh.vertices).query(points)[1]
+    except (TypeError, ValueError) as error:
+        raise InputError(f"'{path}' holds a landmark that is no number: {error}.") from error
+    if vertices.min() < 0 or vertices.max() >= len(mesh.vertices):
+        raise InputError(
+            f"'{path}' names vertices from {vertices.min()} to {vertices.max()}; "
+            f"the mesh has those from 0 to {len(mesh.vertices) - 1}."
+        )
+    return Landmarks(tuple(row["name"] for row in rows), vertices)
+
+
+def write_landmarks(landmarks: Landmarks, mesh: Mesh, path: str | os.PathLike[str]) -> None:
+    """Write landmarks with the columns `name,vertex,x,y,z`; empty coordinates where none is.
+
+    Raises
+    ------
+    InputError
+        If the name does not end in .csv, or the file cannot be written.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".csv":
+        raise InputError(f"'{path}': landmarks are written to .csv.")
+    content = io.StringIO()
+    table = csv.writer(content, lineterminator="\n")
+    table.writerow(("name", "vertex", "x", "y", "z"))
+    for name, vertex in zip(landmarks.names, landmarks.vertices.tolist(), strict=True):
+        place = mesh.vertices[vertex].tolist() if vertex >= 0 else ("", "", "")
+        table.writerow((name, vertex, *place))
+    with whole_file(path) as temporary:
+        temporary.write_text(content.getvalue(), encoding="utf-8")
+
+
+def _existing(path: str | os.PathLike[str]) -> Path:
+    path = check_field_path(path)
+    if not path.is_file():
+        raise InputError(f"There is no file '{path}'.")
+    return path
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(f"'{path}' is no text: {error}.") from error
+
+
+def _load(path: Path) -> npt.NDArray[Any]:
+    try:
+        return np.asarray(np.load(path, allow_pickle=False))
+    except (ValueError, EOFError, OSError) as error:
+        raise InputError(f"'{path}' holds no array: {error}.") from error
+
+
+def _save(values: npt.NDArray[Any], path: Path) -> None:
+    with whole_file(path) as temporary, temporary.open("wb") as file:
+        np.save(file, values, allow_pickle=False)

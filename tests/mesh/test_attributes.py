@@ -1,0 +1,143 @@
+import base64
+import xml.etree.ElementTree as ElementTree
+
+import numpy as np
+import pytest
+import trimesh
+
+from esd.common import InputError
+from esd.mesh.attributes import (
+    Texture,
+    read_texture,
+    read_vertex_colours,
+    write_coloured,
+    write_textured,
+    write_with_attributes,
+)
+from esd.mesh.files import read_mesh, write_mesh
+from esd.mesh.mesh import as_mesh, with_attributes
+from esd.mesh.shapes import grid, torus
+
+Image = pytest.importorskip("PIL.Image", reason="pillow is not installed")
+
+
+@pytest.fixture
+def attributes():
+    generator = np.random.default_rng(0)
+    return {"target": np.arange(35) - 1, "error": generator.random(35)}
+
+
+def test_ply_keeps_attributes_and_order(tmp_path, attributes):
+    mesh = torus(7, 5)
+    write_with_attributes(mesh, attributes, tmp_path / "m.ply")
+    loaded = trimesh.load_mesh(tmp_path / "m.ply", process=False)
+    np.testing.assert_array_equal(loaded.faces, mesh.faces)
+    raw = loaded.metadata["_ply_raw"]["vertex"]["data"]
+    np.testing.assert_array_equal(raw["target"], attributes["target"])
+    np.testing.assert_array_equal(raw["error"], attributes["error"])
+
+
+def test_vtp_holds_what_its_arrays_say(tmp_path, attributes):
+    mesh = torus(7, 5)
+    write_with_attributes(mesh, attributes, tmp_path / "m.vtp")
+    kinds = {"Float64": "<f8", "Int64": "<i8"}
+    arrays = {}
+    for node in ElementTree.parse(tmp_path / "m.vtp").iter("DataArray"):
+        content = base64.b64decode(node.text)
+        assert int.from_bytes(content[:8], "little") == len(content) - 8
+        arrays[node.get("Name")] = np.frombuffer(content[8:], kinds[node.get("type")])
+    np.testing.assert_array_equal(arrays["Points"].reshape(-1, 3), mesh.vertices)
+    np.testing.assert_array_equal(arrays["connectivity"].reshape(-1, 3), mesh.faces)
+    np.testing.assert_array_equal(arrays["offsets"], 3 * np.arange(1, 71))
+    np.testing.assert_array_equal(arrays["target"], attributes["target"])
+    np.testing.assert_array_equal(arrays["error"], attributes["error"])
+
+
+def test_vtk_reads_vtp(tmp_path, attributes):
+    pyvista = pytest.importorskip("pyvista", reason="pyvista is not installed")
+    write_with_attributes(torus(7, 5), attributes, tmp_path / "m.vtp")
+    loaded = pyvista.read(tmp_path / "m.vtp")
+    np.testing.assert_array_equal(loaded.point_data["target"], attributes["target"])
+    assert as_mesh(loaded).faces.shape == (70, 3)
+
+
+def test_attributes_that_do_not_fit_are_refused(tmp_path):
+    mesh = torus(7, 5)
+    with pytest.raises(InputError, match=r"suffix among .ply, .vtp"):
+        write_with_attributes(mesh, {}, tmp_path / "m.obj")
+    with pytest.raises(InputError, match=r"'x' must have shape \(35,\); got \(3,\)"):
+        write_with_attributes(mesh, {"x": np.ones(3)}, tmp_path / "m.ply")
+
+
+@pytest.mark.parametrize("suffix", ["ply", "glb"])
+def test_colours_come_back(tmp_path, suffix):
+    colours = np.random.default_rng(0).integers(0, 256, (35, 4), dtype=np.uint8)
+    write_coloured(torus(7, 5), colours, tmp_path / f"m.{suffix}")
+    np.testing.assert_array_equal(read_vertex_colours(tmp_path / f"m.{suffix}"), colours)
+
+
+def test_colours_that_are_not_there_are_missed(tmp_path):
+    write_mesh(torus(7, 5), tmp_path / "m.ply")
+    with pytest.raises(InputError, match="no colours of its vertices"):
+        read_vertex_colours(tmp_path / "m.ply")
+    with pytest.raises(InputError, match=r"written to .ply or .glb"):
+        write_coloured(torus(7, 5), np.zeros((35, 4), dtype=np.uint8), tmp_path / "m.off")
+
+
+@pytest.fixture
+def texture() -> Texture:
+    """On a grid, the image's place is the place on the grid."""
+    mesh = grid(5, 4)
+    pixels = np.random.default_rng(0).integers(0, 256, (8, 8, 3), dtype=np.uint8)
+    return Texture(mesh.vertices[mesh.faces][:, :, :2], Image.fromarray(pixels))
+
+
+@pytest.mark.parametrize("suffix", ["obj", "glb"])
+def test_textures_come_back(tmp_path, texture, suffix):
+    mesh = grid(5, 4)
+    write_textured(mesh, texture, tmp_path / f"m.{suffix}")
+    back = read_texture(tmp_path / f"m.{suffix}")
+    # glTF holds 32 bits
+    np.testing.assert_allclose(back.coordinates, texture.coordinates, atol=1e-7)
+    np.testing.assert_array_equal(np.asarray(back.image.convert("RGB")), np.asarray(texture.image))
+    if suffix == "obj":
+        np.testing.assert_array_equal(read_mesh(tmp_path / "m.obj").faces, mesh.faces)
+
+
+def test_textures_that_are_not_whole_are_refused(tmp_path, texture):
+    mesh = grid(5, 4)
+    path = tmp_path / "m.obj"
+    with pytest.raises(InputError, match=r"written to .obj, .glb"):
+        write_textured(mesh, texture, tmp_path / "m.ply")
+    with pytest.raises(InputError, match=r"read from .obj, .glb"):
+        read_texture(tmp_path / "m.ply")
+    write_mesh(mesh, tmp_path / "m.glb")
+    with pytest.raises(InputError, match="has no texture"):
+        read_texture(tmp_path / "m.glb")
+    write_textured(mesh, texture, path)
+    whole = path.read_text()
+    (tmp_path / "m.png").unlink()
+    with pytest.raises(InputError, match=r"has no image: .*m.png' is missing"):
+        read_texture(path)
+    path.write_text(whole.replace("mtllib", "# mtllib"))
+    with pytest.raises(InputError, match="its material names none"):
+        read_texture(path)
+    path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    with pytest.raises(InputError, match="no texture coordinates"):
+        read_texture(path)
+
+
+def test_other_packages_get_their_meshes_back():
+    mesh = torus(7, 5)
+    values = {"target": np.arange(35)}
+    theirs = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    given = with_attributes(theirs, values)
+    np.testing.assert_array_equal(given.vertex_attributes["target"], np.arange(35))
+    assert "target" not in theirs.vertex_attributes
+    meshio = pytest.importorskip("meshio", reason="meshio is not installed")
+    given = with_attributes(meshio.Mesh(mesh.vertices, [("triangle", mesh.faces)]), values)
+    np.testing.assert_array_equal(given.point_data["target"], np.arange(35))
+    with pytest.raises(InputError, match="got Mesh"):
+        with_attributes(mesh, values)
+    with pytest.raises(InputError, match="each of 35 vertices; got 3"):
+        with_attributes(theirs, {"x": np.arange(3)})
