@@ -4,6 +4,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
@@ -146,3 +147,27 @@ def test_help_and_version_load_nothing_heavy():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+def test_experiments_write_reports_and_go_on(shapes, tmp_path):
+    arguments = ("reproduce", "dimension", "--data", shapes, "-o", tmp_path / "r", "--quick")
+    assert "report.md" in run(*arguments).stdout
+    folder = tmp_path / "r" / "dimension"
+    assert {"report.md", "components.csv", "dimension.png", "dimension.pdf"} <= files(folder)
+    text = (folder / "report.md").read_text()
+    assert f"esd reproduce dimension --data {shapes}" in text
+    assert "2 shapes of 00, 01" in text
+    assert "once" in run(*arguments, "--data", "bodies", expect=1).stderr
+    run("reproduce", "nosuch", "--data", shapes, "-o", tmp_path / "r", expect=2)
+    assert "is left without" in run(*arguments, "--test", "*", expect=1).stderr
+
+
+def test_sequences_are_listed_and_selected(tmp_path):
+    source, selection = tmp_path / "dyna", tmp_path / "selection.hdf5"
+    mesh = torus(6, 5)
+    with h5py.File(source, "w") as file:
+        file["faces"] = mesh.faces
+        file["50002_hips"] = np.repeat(mesh.vertices[:, :, None], 30, axis=2)
+    assert run("data", "list", source).stdout == "50002\thips\t30\n"
+    assert "4 frames" in run("data", "select", source, "-o", selection, "--per-subject", 4).stdout
+    assert run("data", "list", selection).stdout == "50002\thips\t4\n"

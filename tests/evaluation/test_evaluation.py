@@ -25,6 +25,8 @@ def test_errors_are_distances_from_either_side(blob):
         errors = geodesic_errors(graph, predicted, (truth, other))
         np.testing.assert_allclose(errors[0], expected[predicted, truth])
         np.testing.assert_allclose(errors[1], expected[predicted, other])
+        [limited] = geodesic_errors(graph, predicted, (truth,), limit=0.5)
+        np.testing.assert_array_equal(limited <= 0.5, errors[0] <= 0.5)
 
 
 def test_points_without_match_or_truth_have_no_error(blob):

@@ -78,6 +78,16 @@ def test_area_samples_follow_the_area():
         sample_by_area(stretched, 1601)
 
 
+def test_distance_from_the_nearest_of_several_sources(blob):
+    graph = geodesic_graph(blob)
+    sources = np.array([3, 100, 400])
+    nearest = graph.distances(sources).min(axis=0)
+    np.testing.assert_array_equal(graph.distances_to_any(sources), nearest)
+    within = np.isfinite(graph.distances_to_any(sources, limit=0.3))
+    np.testing.assert_array_equal(within, nearest <= 0.3)
+    assert np.isinf(graph.distances_to_any(np.array([], dtype=np.int64))).all()
+
+
 def test_nearest_source_is_that_of_the_smallest_distance():
     graph = geodesic_graph(icosphere(2))
     sources = np.array([3, 50, 120])

@@ -18,6 +18,7 @@ from esd.cli.export import export
 from esd.cli.match import match
 from esd.cli.model import model
 from esd.cli.output import telling
+from esd.cli.reproduce import reproduce
 from esd.cli.spectrum import spectrum
 from esd.cli.train import train
 from esd.cli.transfer import transfer
@@ -52,6 +53,7 @@ _EXAMPLES: dict[Callable[..., None], tuple[str, ...]] = {
     spectrum: ("esd spectrum a.ply -k 100 -o a.npz",),
     descriptor: ("esd descriptor a.ply --kind wks -o a-wks.npz",),
     doctor: ("esd doctor a.ply --repair mended.ply",),
+    reproduce: ("esd reproduce table1 --data bodies -o paper",),
     cache: ("esd cache --clear",),
 }
 for command, examples in _EXAMPLES.items():

@@ -9,7 +9,9 @@ import typer
 
 from esd.cli.output import ForceOption, free_path, tell, telling
 
-data = typer.Typer(help="The data sets that ship with the package.", no_args_is_help=True)
+data = typer.Typer(
+    help="The bodies that ship with the package; Dyna and D-FAUST.", no_args_is_help=True
+)
 
 
 @data.command()
@@ -36,3 +38,31 @@ def bodies(
         collection = collection.including(include)
     export_folder(collection, export, part_names=PARTS, part_labels=part_labels())
     tell(f"{len(collection.shapes)} bodies written to {export}")
+
+
+DynaArgument = Annotated[
+    Path, typer.Argument(metavar="DYNA", help="An HDF5 file of Dyna or D-FAUST, or their folder.")
+]
+
+
+@data.command("list")
+def list_recordings(path: DynaArgument) -> None:
+    """List the sequences of Dyna or D-FAUST: subject, sequence and number of frames."""
+    from esd.datasets.dyna import recordings
+
+    for found in recordings(path):
+        typer.echo(f"{found.subject}\t{found.sequence}\t{len(found.frames)}")
+
+
+@data.command()
+def select(
+    path: DynaArgument,
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="Ends in .hdf5.")],
+    per_subject: Annotated[int, typer.Option(min=1, help="Frames of each subject.")] = 10,
+    seed: Annotated[int, typer.Option(min=0, help="Of the draw.")] = 0,
+) -> None:
+    """Write some frames of each subject of Dyna or D-FAUST to a small file, to work with."""
+    from esd.datasets.dyna import save_selection
+
+    count = save_selection(path, output, per_subject=per_subject, seed=seed)
+    typer.echo(f"{count} frames written to {output}")

@@ -74,7 +74,8 @@ def bodies(
                 own = int(np.random.SeedSequence([seed, subject, pose]).generate_state(1)[0])
                 shape = remeshed_shape(shape, vertex_count=vertex_count, style=style, seed=own)
             shapes.append(shape)
-    return Collection("bodies", tuple(shapes), TESTING_SUBJECTS)
+    name = "bodies" if remeshed else "bodies-registered"
+    return Collection(name, tuple(shapes), TESTING_SUBJECTS)
 
 
 def mirrored_points() -> IntArray:

@@ -6,17 +6,24 @@ import os
 
 from esd.datasets.bodies import bodies
 from esd.datasets.collection import Collection
+from esd.datasets.dyna import dyna_collection, is_dyna
 from esd.datasets.folder import folder_collection
 
 
 def open_collection(dataset: str | os.PathLike[str]) -> Collection:
-    """The collection `bodies`, remeshed, or the one in a folder, see `folder_collection`.
+    """The collection of a name, or in a file or folder.
+
+    `bodies`, with triangles of their own; `bodies-registered`, with those of their template; an
+    HDF5 file of Dyna or D-FAUST, or a folder of such, see `dyna_collection`; else what
+    `folder_collection` reads.
 
     Raises
     ------
     InputError
         If there is none.
     """
-    if str(dataset) == "bodies":
-        return bodies()
+    if str(dataset) in ("bodies", "bodies-registered"):
+        return bodies(remeshed=str(dataset) == "bodies")
+    if is_dyna(dataset):
+        return dyna_collection(dataset)
     return folder_collection(dataset)

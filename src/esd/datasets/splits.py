@@ -1,6 +1,8 @@
-"""Splits of a collection; shapes of one subject are never on both sides."""
+"""Splits and samples of a collection; shapes of one subject are never on both sides."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 
@@ -28,3 +30,43 @@ def split_by_subject(
     kept = [subject for i, subject in enumerate(subjects) if i not in chosen]
     held = [subject for i, subject in enumerate(subjects) if i in chosen]
     return collection.of_subjects(kept), collection.of_subjects(held)
+
+
+def unseen_subjects(
+    collection: Collection, *, patterns: str | None = None
+) -> tuple[Collection, Collection]:
+    """Shapes to train on, and shapes of other subjects to test on.
+
+    Parameters
+    ----------
+    patterns
+        Names of the shapes to test on, see `Collection.including`; all shapes of their subjects
+        are kept out of the training. By default those of the collection's `testing_subjects`, or,
+        where there are none, of the last quarter of its subjects, but of at least two.
+
+    Raises
+    ------
+    InputError
+        If no shape matches, or no subject is left to train on.
+    """
+    if patterns is not None:
+        testing = collection.including(patterns)
+    else:
+        quarter = max(2, len(collection.subjects) // 4)
+        testing = collection.of_subjects(
+            collection.testing_subjects or sorted(collection.subjects)[-quarter:]
+        )
+    return collection.excluding_subjects(testing.subjects), testing
+
+
+def sample_by_subject(collection: Collection, count: int, *, seed: int = 0) -> Collection:
+    """At most `count` shapes of each subject, drawn at random, in the order of the collection."""
+    generator = np.random.default_rng(seed)
+    chosen: set[int] = set()
+    subjects = np.array([shape.subject for shape in collection.shapes])
+    for subject in collection.subjects:
+        places = np.flatnonzero(subjects == subject)
+        chosen |= set(generator.permutation(places)[:count].tolist())
+    return replace(
+        collection, shapes=tuple(s for i, s in enumerate(collection.shapes) if i in chosen)
+    )

@@ -12,7 +12,11 @@ _CHUNK = 256
 
 
 def geodesic_errors(
-    graph: EdgeGraph, predicted: IntArray, truths: tuple[IntArray, ...]
+    graph: EdgeGraph,
+    predicted: IntArray,
+    truths: tuple[IntArray, ...],
+    *,
+    limit: float = np.inf,
 ) -> tuple[FloatArray, ...]:
     """Geodesic distances from predicted to true vertices of one mesh, (p,) for each of the truths.
 
@@ -26,6 +30,8 @@ def geodesic_errors(
         Vertices from 0; -1 for none, where the result is NaN.
     truths : (p,) each
         True vertices from 0, such as the direct and the mirrored ones; -1 where unknown: NaN.
+    limit
+        Longer distances may come out as infinite, which saves most of the time.
     """
     known = [(predicted >= 0) & (truth >= 0) for truth in truths]
     near = np.concatenate([predicted[k] for k in known])
@@ -38,7 +44,7 @@ def geodesic_errors(
     bounds = np.append(first, len(order))
     for start in range(0, len(sources), _CHUNK):
         chunk = sources[start : start + _CHUNK]
-        rows = graph.distances(chunk)
+        rows = graph.distances(chunk, limit=limit)
         chosen = order[bounds[start] : bounds[min(start + _CHUNK, len(sources))]]
         distance[chosen] = rows[np.searchsorted(chunk, near[chosen]), far[chosen]]
     errors = []

@@ -29,6 +29,16 @@ class EdgeGraph:
             csgraph.dijkstra(self.weights, directed=True, indices=sources, limit=limit)
         )
 
+    def distances_to_any(self, sources: IntArray, *, limit: float = np.inf) -> FloatArray:
+        """Distance (n,) of every vertex from the nearest source; infinite without a source."""
+        if len(sources) == 0:
+            return np.full(self.weights.shape[0], np.inf)
+        return np.asarray(
+            csgraph.dijkstra(
+                self.weights, directed=True, indices=sources, limit=limit, min_only=True
+            )
+        )
+
     def nearest_source(self, sources: IntArray) -> IntArray:
         """Which of some vertices is the nearest to each vertex, (n,); -1 where none is reached."""
         _, _, nearest = csgraph.dijkstra(

@@ -47,7 +47,7 @@ def match_figure(source: Mesh, target: Mesh, match: Correspondence, *, up: str =
     figure, panels = _panels(2)
     shown = ((source, carried, "source, by the map"), (target, colours, "target"))
     for axes, (mesh, colour, title) in zip(panels, shown, strict=True):
-        _draw(axes, mesh, colour, up)
+        draw_mesh(axes, mesh, colour, up)
         axes.set_title(title)
     return figure
 
@@ -96,7 +96,7 @@ def values_figure(
         scale = Normalize(0, largest) if largest else Normalize(*_range(array[known]))
         mappable = ScalarMappable(scale, colour_map)
         colours = mappable.to_rgba(np.where(known, array, 0))[:, :3]
-        _draw(axes, mesh, np.where(known[:, None], colours, UNMATCHED), up)
+        draw_mesh(axes, mesh, np.where(known[:, None], colours, UNMATCHED), up)
         axes.set_title(title)
         figure.colorbar(mappable, ax=axes, shrink=0.6, label=label)
     return figure
@@ -161,7 +161,7 @@ def _range(values: FloatArray) -> tuple[float, float]:
     return (float(values.min()), float(values.max())) if len(values) else (0.0, 1.0)
 
 
-def _draw(axes: Any, mesh: Mesh, colours: FloatArray, up: str) -> None:
+def draw_mesh(axes: Any, mesh: Mesh, colours: FloatArray, up: str) -> None:
     """Draw the faces that look at the viewer, the farthest first."""
     right, forward, vertical = (0, 1, 2) if up == "z" else (0, 2, 1)
     toward = -1 if up == "z" else 1
@@ -174,7 +174,9 @@ def _draw(axes: Any, mesh: Mesh, colours: FloatArray, up: str) -> None:
     shade = 0.45 + 0.55 * np.clip(view[order] @ (_LIGHT / np.linalg.norm(_LIGHT)), 0, 1)
     corners = mesh.vertices[mesh.faces[order]][:, :, [right, vertical]]
     paint = colours[mesh.faces[order]].mean(axis=1) * shade[:, None]
-    faces = PolyCollection(corners, facecolors=paint, edgecolors=paint, linewidths=0.2)
+    faces = PolyCollection(
+        corners, facecolors=paint, edgecolors=paint, linewidths=0.2, rasterized=True
+    )
     axes.add_collection(faces)
     axes.set_aspect("equal")
     axes.autoscale_view()

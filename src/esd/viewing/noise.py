@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from esd.evaluation.perturb import PERTURBATIONS
 from esd.experiments.noise import NoisyPair
-from esd.viewing.figures import _draw
+from esd.viewing.figures import draw_mesh
 
 _WORST = 0.25  # of the diameter, where the colours end as in the paper
 _UNKNOWN = (0.75, 0.75, 0.75)
@@ -62,6 +62,6 @@ def noise_shapes(found: Sequence[NoisyPair], *, up: str = "z") -> Figure:
             shown = max(reversed(chosen), key=lambda pair: pair.level)
             colours = colormaps["inferno"](np.clip(shown.errors / _WORST, 0, 1))[:, :3]
             colours[np.isnan(shown.errors)] = _UNKNOWN
-            _draw(axes, shown.mesh, colours, up)
+            draw_mesh(axes, shown.mesh, colours, up)
             axes.set_title(f"{model}\n{name} {shown.level:g}", fontsize=8)
     return figure

@@ -1,0 +1,95 @@
+"""`esd reproduce`."""
+
+from __future__ import annotations
+
+from enum import Enum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+# each has a module of its name in esd.experiments, whose `run` measures, and a function
+# NAME_figures in esd.viewing.experiments, which draws
+EXPERIMENTS = ("table1", "dimension", "architecture", "concatenation", "scale", "transfer")
+
+Experiment = Enum("Experiment", {name: name for name in EXPERIMENTS}, type=str)  # type: ignore[misc]
+
+
+def reproduce(
+    experiment: Annotated[Experiment, typer.Argument(help="A table or figure of the paper.")],
+    data: Annotated[
+        list[str],
+        typer.Option(
+            metavar="DATASET",
+            help="bodies, bodies-registered, Dyna or D-FAUST, or a folder; "
+            "for 'transfer' several times.",
+        ),
+    ],
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder to write.")],
+    test: Annotated[
+        str | None,
+        typer.Option(
+            metavar="GLOB",
+            help="Shapes to test on; training leaves their subjects out. By default those the data "
+            "set keeps for testing, or of the last quarter of its subjects.",
+        ),
+    ] = None,
+    per_subject: Annotated[
+        int, typer.Option(min=2, help="Shapes taken of each subject, at the most.")
+    ] = 10,
+    quick: Annotated[bool, typer.Option("--quick", help="A coarse answer, soon.")] = False,
+    seed: Annotated[int, typer.Option(min=0, help="Of all that is random.")] = 0,
+) -> None:
+    """Repeat an experiment of the paper: figures, CSV tables and report.md, in DIR/EXPERIMENT.
+
+    What is finished is kept in DIR/parts and DIR/models: an interrupted experiment goes on when
+    the command is given again, and several experiments share their trainings.
+    """
+    import shlex
+    import sys
+    import time
+    from importlib import import_module
+
+    from esd.cli.progress import progress
+    from esd.common import InputError
+    from esd.datasets.open import open_collection
+    from esd.datasets.splits import sample_by_subject, unseen_subjects
+    from esd.experiments.report import write_report
+    from esd.experiments.setting import Setting, provenance
+    from esd.spectral.cache import default_cache
+    from esd.viewing import experiments as drawing
+    from esd.viewing.figures import save_figure
+
+    if (len(data) > 1) != (experiment.value == "transfer"):
+        raise InputError("'transfer' takes --data several times, the other experiments once.")
+    start = time.perf_counter()
+    folder = output / experiment.value
+    folder.mkdir(parents=True, exist_ok=True)
+    settings = []
+    for name in data:
+        collection = sample_by_subject(open_collection(name), per_subject, seed=seed)
+        training, testing = unseen_subjects(collection, patterns=test)
+        settings.append(
+            Setting(
+                training=training,
+                testing=testing,
+                folder=output,
+                seed=seed,
+                quick=quick,
+                cache=default_cache(),
+                progress=progress,
+            )
+        )
+    outcome = import_module(f"esd.experiments.{experiment.value}").run(*settings)
+    figures = getattr(drawing, f"{experiment.value}_figures")(outcome)
+    for name, figure in figures.items():
+        for suffix in (".png", ".pdf"):
+            save_figure(figure, folder / f"{name}{suffix}")
+    facts = {
+        "Command": f"`esd {shlex.join(sys.argv[1:])}`",
+        **provenance(settings),
+        "Seed": seed,
+        "Time": f"{time.perf_counter() - start:.0f} s, less what an earlier run had finished",
+    }
+    write_report(outcome.report, folder, facts=facts, figures=list(figures))
+    typer.echo(f"written to {folder / 'report.md'}")
