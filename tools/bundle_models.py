@@ -1,8 +1,9 @@
 """Train the models that ship with the package and write their figures into their cards.
 
-    python tools/bundle_models.py --transfer ../shared/data/faust_r 'tr_reg_0[67]*'
+    python tools/bundle_models.py --transfer FAUST_R 'tr_reg_0[67]*' --transfer TOSCA_R 'david*'
 
-A model that is there already is only measured; remove its folder to train it again.
+A model that is there already is only measured; remove its folder to train it again. `--only`
+restricts it to some.
 """
 
 from __future__ import annotations
@@ -25,9 +26,13 @@ MODELS = Path(__file__).parents[1] / "src" / "esd" / "learning" / "models"
 HELD_OUT = "s1[0-3]_p0[0369]"  # the subjects kept for testing, in four poses
 
 
-def figures(model: Model, collection: Collection) -> str:
+def figures(model: Model, collection: Collection, *, refine: bool) -> str:
     result, _ = evaluate(
-        model, collection.pairs(), processes=os.cpu_count() or 1, cache=default_cache()
+        model,
+        collection.pairs(),
+        refine=refine,
+        processes=os.cpu_count() or 1,
+        cache=default_cache(),
     )
     return (
         f"{result.mean_geodesic_error_x100:.2f} mean geodesic error x 100 / √area, "
@@ -38,21 +43,29 @@ def figures(model: Model, collection: Collection) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--transfer", nargs=2, metavar=("FOLDER", "GLOB"))
+    parser.add_argument(
+        "--transfer", nargs=2, metavar=("FOLDER", "GLOB"), action="append", default=[]
+    )
+    parser.add_argument("--only", nargs="*", choices=list(PRESETS), default=list(PRESETS))
     options = parser.parse_args()
     MODELS.mkdir(exist_ok=True)
     held_out = open_collection("bodies").including(HELD_OUT)
-    for name in PRESETS:
+    for name in options.only:
         folder = MODELS / name
         command = f"esd train bodies --preset {name} -o {name} --seed 0"
         if not folder.exists():
             arguments = [*command.split()[1:-3], str(folder), "--seed", "0"]
             subprocess.run([sys.executable, "-m", "esd", *arguments], check=True)
         model = load_model(folder)
-        card = {**model.card, "command": command, "on_held_out_bodies": figures(model, held_out)}
-        if options.transfer:
-            other = open_collection(options.transfer[0]).including(options.transfer[1])
-            card[f"on_{other.name}"] = f"{figures(model, other)}, {options.transfer[1]}"
+        card = {**model.card, "command": command}
+        sets = {"held_out_bodies": held_out}
+        for data, pattern in options.transfer:
+            other = open_collection(data).including(pattern)
+            sets[f"{other.name} {pattern}"] = other
+        for title, collection in sets.items():
+            card[f"on {title}"] = figures(model, collection, refine=False)
+            if model.is_oriented:
+                card[f"on {title}, refined"] = figures(model, collection, refine=True)
         save_model(replace(model, card=card), folder)
         print(name, card, sep="\n")
 
