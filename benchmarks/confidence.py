@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 from collections import defaultdict
+from itertools import pairwise
 
 import numpy as np
 
@@ -51,7 +52,7 @@ def main() -> None:
             )
     confidence, truth = np.concatenate(sure), np.concatenate(right)
     print("| confidence | share of the matches | mean confidence | right |\n|---|--:|--:|--:|")
-    for low, high in zip(EDGES[:-1], EDGES[1:], strict=True):
+    for low, high in pairwise(EDGES):
         some = (confidence >= low) & (confidence < high)
         if some.any():
             print(
