@@ -10,7 +10,7 @@ def test_a_model_is_bundled_for_each_preset_and_none_saw_the_testing_subjects():
         seen = {shape.split("_")[0] for shape in load_model(name).card["shapes"]}
         assert seen
         assert not seen & set(TESTING_SUBJECTS)
-    assert load_model("default").name == "paper-hks"
+    assert load_model("default").name == "oriented"
 
 
 def test_embedding_improves_its_descriptor_on_bodies_it_never_saw():

@@ -32,7 +32,7 @@ _FORMAT = 1
 _LARGEST_FILE = 2**30
 _LARGEST_CONFIG = 2**26
 _BUNDLED = Path(__file__).parent / "models"
-_ALIASES = {"default": "paper-hks"}
+_ALIASES = {"default": "oriented"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
