@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from safetensors import SafetensorError
-from safetensors.numpy import load_file, save_file
+from safetensors.numpy import load_file, save
 
 from esd.common import FloatArray, InputError
 from esd.descriptors.recipe import (
@@ -216,9 +216,8 @@ def save_model(model: Model, folder: str | os.PathLike[str]) -> None:
         arrays |= {f"layer{i}.weight": layer.weight, f"layer{i}.bias": layer.bias}
     temporary = Path(tempfile.mkdtemp(dir=folder.parent, prefix=".esd-"))
     try:
-        save_file(
-            {k: np.ascontiguousarray(v) for k, v in arrays.items()}, temporary / "model.safetensors"
-        )
+        weights = save({name: np.ascontiguousarray(array) for name, array in arrays.items()})
+        (temporary / "model.safetensors").write_bytes(weights)
         (temporary / "config.json").write_text(json.dumps(config, indent=2) + "\n")
         (temporary / "README.md").write_text(model_description(replace(model, name=folder.name)))
         temporary.chmod(0o755)

@@ -14,7 +14,7 @@ from esd.spectral.spectrum import Spectrum
 SIZES = (30, 60, 100, 160, 230, 300)
 """Numbers of eigenfunctions, one step after the other."""
 
-WEIGHT = 0.8
+WEIGHT = 0.5
 """Of embeddings beside eigenfunctions."""
 
 
