@@ -60,9 +60,11 @@ def select(
     output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="Ends in .hdf5.")],
     per_subject: Annotated[int, typer.Option(min=1, help="Frames of each subject.")] = 10,
     seed: Annotated[int, typer.Option(min=0, help="Of the draw.")] = 0,
+    force: ForceOption = False,
 ) -> None:
     """Write some frames of each subject of Dyna or D-FAUST to a small file, to work with."""
     from esd.datasets.dyna import save_selection
 
+    free_path(output, force=force)
     count = save_selection(path, output, per_subject=per_subject, seed=seed)
-    typer.echo(f"{count} frames written to {output}")
+    tell(f"{count} frames written to {output}")

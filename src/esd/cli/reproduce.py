@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+from esd.cli.output import tell
+
 # each has a module of its name in esd.experiments, whose `run` measures, and a function
 # NAME_figures in esd.viewing.experiments, which draws
 EXPERIMENTS = ("table1", "dimension", "architecture", "concatenation", "scale", "transfer")
@@ -92,4 +94,4 @@ def reproduce(
         "Time": f"{time.perf_counter() - start:.0f} s, less what an earlier run had finished",
     }
     write_report(outcome.report, folder, facts=facts, figures=list(figures))
-    typer.echo(f"written to {folder / 'report.md'}")
+    tell(f"written to {folder / 'report.md'}")
