@@ -47,7 +47,7 @@ def test_shapes_that_fail_are_listed(shapes, tmp_path):  # noqa: F811
 
 def test_a_cluster_computes_the_same_bytes(shapes, tmp_path):  # noqa: F811
     pytest.importorskip("distributed", reason="a cluster needs the extra `cluster`")
-    start = [sys.executable, "-m", "distributed.cli.dask_scheduler"]
+    start = [sys.executable, "-m", "dask", "scheduler"]
     started = []
     try:
         scheduler = subprocess.Popen(
@@ -59,7 +59,7 @@ def test_a_cluster_computes_the_same_bytes(shapes, tmp_path):  # noqa: F811
         address = next(
             found[0] for line in scheduler.stderr if (found := re.search(r"tcp://127\S+\d", line))
         )
-        worker = [sys.executable, "-m", "distributed.cli.dask_worker", address, "--no-dashboard"]
+        worker = [sys.executable, "-m", "dask", "worker", address, "--no-dashboard"]
         worker += ["--nthreads", "1", "--local-directory", str(tmp_path)]
         started.append(subprocess.Popen(worker, cwd=tmp_path, stderr=subprocess.DEVNULL))
         made = ("precompute", os.path.relpath(shapes), "-m", "gps", "-o")

@@ -35,7 +35,11 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 _EXAMPLES: dict[Callable[..., None], tuple[str, ...]] = {
-    match: ("esd match a.ply b.ply -o map.csv", "esd match a.ply b.ply --view"),
+    match: (
+        "esd match a.ply b.ply -o map.csv",
+        "esd match a.ply b.ply --view",
+        "esd match --batch pairs.csv",
+    ),
     view: (
         "esd view a.ply b.ply map.csv --open",
         "esd view a.ply b.ply map.csv --points a.vts b.vts -o page.html",

@@ -8,13 +8,10 @@ from typing import Annotated
 
 import typer
 
+from esd.cli.match import WorkersOption
 from esd.cli.output import ForceOption, tell
 from esd.cli.train import DatasetArgument
 
-WorkersOption = Annotated[
-    int | None,
-    typer.Option(min=1, help="Processes; by default one for each core.", show_default=False),
-]
 SchedulerOption = Annotated[
     str | None,
     typer.Option(
