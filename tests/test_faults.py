@@ -48,9 +48,9 @@ def run(*arguments, limit: int | None = None, **environment) -> subprocess.Compl
     )
 
 
-def match(shapes: Path, output: Path, **options) -> subprocess.CompletedProcess[str]:
+def match(shapes: Path, output: Path, *more: str, **options) -> subprocess.CompletedProcess[str]:
     pair = shapes / "tr_reg_000.off", shapes / "tr_reg_010.off"
-    return run("match", *pair, "-m", "hks", "-o", output, **options)
+    return run("match", *pair, "-m", "hks", "-o", output, *more, **options)
 
 
 def is_one_line(text: str) -> bool:
@@ -145,7 +145,7 @@ def test_killed_while_caching_nothing_is_found_next_time(tmp_path):
 def test_a_full_disk_is_told_in_a_line_and_the_old_file_stays(shapes, tmp_path):
     output = tmp_path / "map.csv"
     output.write_text("old")
-    done = match(shapes, output, limit=1000, ESD_CACHE="off")
+    done = match(shapes, output, "--force", limit=1000, ESD_CACHE="off")
     assert done.returncode == 1
     assert is_one_line(done.stderr), done.stderr
     assert "too large" in done.stderr

@@ -54,7 +54,7 @@ def test_commands_take_broken_meshes_and_points_and_say_so(blob, tmp_path):
     assert "no faces: a point cloud" in run("doctor", points).stdout
     assert "cannot be written as a mesh" in run("doctor", points, "--repair", torn, expect=1).stderr
     run("match", points, whole, "-m", "hks", "-o", tmp_path / "m.csv")
-    done = run("match", torn, whole, "-m", "hks", "-o", tmp_path / "m.csv", "--json", "--repair")
+    done = run("match", torn, whole, "-m", "hks", "-o", tmp_path / "n.csv", "--json", "--repair")
     summary = json.loads(done.stdout)
     assert summary["matched"] == blob.faces.size
     assert "doubled along seams" in summary["source_findings"]

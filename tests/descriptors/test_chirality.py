@@ -93,6 +93,14 @@ def test_recipes_turn_faces_outward_first(blob):
     np.testing.assert_allclose(here, there, atol=1e-6)
 
 
+def test_an_edge_of_three_faces_is_no_reason_to_refuse(blob):
+    fin = np.array([[*blob.faces[0, :2], len(blob.vertices)]])
+    vertices = np.concatenate([blob.vertices, blob.vertices[blob.faces[0, :1]] * 1.01])
+    finned = descriptors(RECIPE, Mesh(vertices, np.concatenate([blob.faces, fin])))
+    whole = descriptors(RECIPE, blob)
+    assert np.corrcoef(finned[:-1, : ODD.count].ravel(), whole[:, : ODD.count].ravel())[0, 1] > 0.95
+
+
 def test_recipes_of_products_are_data():
     assert Recipe.from_json(RECIPE.to_json()).to_json() == RECIPE.to_json()
     assert ODD.count == 3 * 2

@@ -10,7 +10,16 @@ def test_a_model_is_bundled_for_each_preset_and_none_saw_the_testing_subjects():
         seen = {shape.split("_")[0] for shape in load_model(name).card["shapes"]}
         assert seen
         assert not seen & set(TESTING_SUBJECTS)
-    assert load_model("default").name == "paper-hks"
+    assert load_model("default").name == "oriented"
+
+
+def test_the_default_tells_left_from_right_on_bodies_it_never_saw():
+    collection = bodies()
+    pairs = [(collection["s10_p01"], collection["s12_p05"])]
+    plain, refined = (evaluate(load_model("default"), pairs, refine=r)[0] for r in (False, True))
+    assert plain.mean_geodesic_error_x100 < 2.5
+    assert plain.mean_geodesic_error_x100 < 1.1 * plain.symmetric_mean_geodesic_error_x100
+    assert refined.mean_geodesic_error_x100 < plain.mean_geodesic_error_x100
 
 
 def test_embedding_improves_its_descriptor_on_bodies_it_never_saw():

@@ -3,7 +3,7 @@ import pytest
 
 from esd.common import InputError
 from esd.matching.functional_map import functional_map, spectral_rows
-from esd.matching.refine import zoomout
+from esd.matching.refine import LARGEST_WEIGHT, LEAST_WEIGHT, zoomout
 from esd.mesh.mesh import Mesh
 from esd.spectral.spectrum import spectrum
 
@@ -69,3 +69,23 @@ def test_impossible_refinements_are_refused(pair):
         zoomout(source, target, np.full(len(truth), -1))
     with pytest.raises(InputError, match="from 1 to 80"):
         functional_map(source, target, truth, size=81)
+
+
+def test_embeddings_count_more_by_default_between_shapes_that_are_not_isometric(blob):
+    swollen = blob.vertices * np.where(blob.vertices[:, :1] > 0, 1.6, 1.0)
+    spectra = spectrum(blob, 80), spectrum(Mesh(swollen, blob.faces), 80)
+    truth = np.arange(len(swollen))
+    noise = 0.02 * np.random.default_rng(0).standard_normal((2, *swollen.shape))
+    embeddings = blob.vertices + noise[0], blob.vertices + noise[1]
+    by_default, least, largest = (
+        zoomout(*spectra, truth, sizes=(20, 40, 80), embeddings=embeddings, weight=weight)
+        for weight in (None, LEAST_WEIGHT, LARGEST_WEIGHT)
+    )
+    np.testing.assert_array_equal(by_default, largest)
+    assert (by_default == truth).mean() > (least == truth).mean()
+    same = spectra[0], spectra[0]
+    by_default, least = (
+        zoomout(*same, truth, sizes=(20, 40, 80), embeddings=embeddings, weight=weight)
+        for weight in (None, LEAST_WEIGHT)
+    )
+    np.testing.assert_array_equal(by_default, least)

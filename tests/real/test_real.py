@@ -5,6 +5,10 @@ import sys
 import numpy as np
 
 from esd.datasets.open import open_collection
+from esd.evaluation.protocol import evaluate
+from esd.learning.model import load_model
+from esd.matching.match import match
+from esd.mesh.mesh import Mesh
 from esd.spectral.spectrum import spectrum
 
 
@@ -34,3 +38,17 @@ def test_bundled_embedding_improves_its_descriptor_on_people_it_never_saw(real_d
         done = subprocess.run(command, capture_output=True, check=True)
         error[model] = json.loads(done.stdout)["symmetric_mean_geodesic_error_x100"]
     assert error["paper-hks"] < 0.75 * error["hks"]
+
+
+def test_default_model_tells_left_from_right_on_people_it_never_saw(real_data):
+    people = open_collection(real_data / "faust_r")
+    source, target = people["tr_reg_060"], people["tr_reg_070"]
+    result, _ = evaluate(load_model("default"), [(source, target)])
+    assert result.mean_geodesic_error_x100 < 2.5
+    assert result.accuracy_5pct_diameter > 0.95
+    mesh = target.mesh()
+    straight = match(source.mesh(), mesh)
+    assert straight.judgement.verdict == "good"
+    mirror = Mesh(mesh.vertices * [-1, 1, 1], mesh.faces)
+    mirrored = match(source.mesh(), mirror)
+    assert mirrored.judgement.verdict == "mirrored"

@@ -363,3 +363,21 @@ def test_bad_input_is_refused(matrix, mass, k, message):
 def test_bad_options_are_refused(options):
     with pytest.raises(InputError, match=f"`{next(iter(options))}` must"):
         eigenpairs(LAPLACIAN, MASS, 2, **options)
+
+
+def test_a_ceiling_at_which_nothing_can_be_told_is_moved_within_its_gap(monkeypatch, caplog):
+    mesh = icosphere(4)
+    shifts = []
+
+    def unstable_twice(matrix, weights, shift):
+        shifts.append(shift)
+        if len(shifts) in (2, 3):  # the first is amid the spectrum, the next are ceilings
+            raise UnstableError("inaccurate")
+        return factorise(matrix, weights, shift)
+
+    monkeypatch.setattr(eigensolver, "factorise", unstable_twice)
+    found = eigenpairs(stiffness(mesh), lumped_mass(mesh), 60)
+    assert found.certified
+    assert not caplog.text
+    degree = np.floor(np.sqrt(np.arange(60)))
+    np.testing.assert_allclose(found.eigenvalues, degree * (degree + 1), rtol=0.05, atol=1e-6)

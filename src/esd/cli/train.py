@@ -24,7 +24,7 @@ def train(
     output: Annotated[
         Path, typer.Option("--output", "-o", metavar="MODEL", help="Folder to write the model to.")
     ],
-    preset: Annotated[str, typer.Option(help="paper-hks, paper-wks or paper-gps.")],
+    preset: Annotated[str, typer.Option(help="oriented, paper-hks, paper-wks or paper-gps.")],
     include: Annotated[
         str | None, typer.Option(metavar="GLOB", help="Only shapes with such names.")
     ] = None,

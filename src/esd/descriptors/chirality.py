@@ -8,7 +8,8 @@ import numpy as np
 from scipy import sparse
 
 from esd.common import FloatArray, InputError, IntArray
-from esd.mesh.mesh import Mesh, is_consistently_oriented
+from esd.mesh.mesh import Mesh
+from esd.mesh.topology import has_sides
 from esd.spectral.laplacian import cotangents
 from esd.spectral.spectrum import Spectrum
 
@@ -62,15 +63,15 @@ def gradient_products(
     Raises
     ------
     InputError
-        If faces are wound differently, so that no side is outward, or the spectrum is not of the
-        mesh.
+        If the two faces of an edge are wound differently, so that no side is outward, or the
+        spectrum is not of the mesh.
     """
     if len(spectrum.mass) != len(mesh.vertices) or len(fields) != len(mesh.vertices):
         raise InputError(
             f"The mesh has {len(mesh.vertices)} vertices, the spectrum {len(spectrum.mass)} and "
             f"the fields {len(fields)}: they are not of one shape."
         )
-    if parity == "odd" and not is_consistently_oriented(mesh):
+    if parity == "odd" and not has_sides(mesh):
         raise InputError(
             "The mesh's faces are wound differently, so that its outside is not defined, and left "
             "cannot be told from right. Repair it first (esd doctor MESH --repair OUT), or take a "

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from safetensors import SafetensorError
-from safetensors.numpy import load_file, save_file
+from safetensors.numpy import load_file, save
 
 from esd.common import FloatArray, InputError
 from esd.descriptors.recipe import (
@@ -32,7 +32,7 @@ _FORMAT = 1
 _LARGEST_FILE = 2**30
 _LARGEST_CONFIG = 2**26
 _BUNDLED = Path(__file__).parent / "models"
-_ALIASES = {"default": "paper-hks"}
+_ALIASES = {"default": "oriented"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -216,9 +216,8 @@ def save_model(model: Model, folder: str | os.PathLike[str]) -> None:
         arrays |= {f"layer{i}.weight": layer.weight, f"layer{i}.bias": layer.bias}
     temporary = Path(tempfile.mkdtemp(dir=folder.parent, prefix=".esd-"))
     try:
-        save_file(
-            {k: np.ascontiguousarray(v) for k, v in arrays.items()}, temporary / "model.safetensors"
-        )
+        weights = save({name: np.ascontiguousarray(array) for name, array in arrays.items()})
+        (temporary / "model.safetensors").write_bytes(weights)
         (temporary / "config.json").write_text(json.dumps(config, indent=2) + "\n")
         (temporary / "README.md").write_text(model_description(replace(model, name=folder.name)))
         temporary.chmod(0o755)

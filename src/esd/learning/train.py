@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 
 from esd.common import InputError, whole_file
 from esd.datasets.collection import Collection
@@ -314,8 +314,9 @@ def _save_checkpoint(run: _Run, path: Path, identity: str) -> None:
             f"{i}.second_moment": state["exp_avg_sq"],
         }
     state = {"step": run.step, "best_loss": run.best_loss, "best_step": run.best_step}
+    metadata = {"identity": identity, "state": json.dumps(state)}
     with whole_file(path) as temporary:
-        save_file(tensors, temporary, metadata={"identity": identity, "state": json.dumps(state)})
+        temporary.write_bytes(save(tensors, metadata))
 
 
 def _resume(run: _Run, path: Path, identity: str) -> None:

@@ -176,6 +176,13 @@ def patches(mesh: Mesh, sides: Sides) -> tuple[BoolArray, IntArray, BoolArray]:
     return (turned ^ minority[patch]) & ~one_sided[patch], patch, one_sided
 
 
+def has_sides(mesh: Mesh) -> bool:
+    """Whether the two faces of an edge always wind alike; edges of more faces are not asked."""
+    sides = sides_of(mesh)
+    here = np.flatnonzero(sides.next & (sides.count == 2))
+    return not (sides.start[here] == sides.start[here + 1]).any()
+
+
 def with_turned(mesh: Mesh, turned: BoolArray) -> Mesh:
     """The mesh with some of its faces, (m,), wound the other way."""
     if not turned.any():

@@ -14,7 +14,7 @@ import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import linalg, sparse
@@ -162,7 +162,8 @@ def _block_lanczos(
         # More copies of an eigenvalue than vectors in a block are seen by none of the blocks.
         missing = min(inverse.count_below, k) - int((ritz.values < inverse.shift).sum())
         if cut and missing <= 0:
-            missing = factorise(stiffness, mass, cut.ceiling).count_below - cut.count
+            below, cut = _counted(stiffness, mass, cut)
+            missing = below - cut.count
             if missing == 0:
                 break
             if missing < 0:
@@ -238,10 +239,14 @@ def _distance(inverse: Factorisation, mass: Mass) -> float:
 
 @dataclass(frozen=True, slots=True)
 class _Cut:
-    """A ceiling, amid a gap of the spectrum, with `count` of the eigenvalues found below it."""
+    """A ceiling in a gap of the spectrum, with `count` of the eigenvalues found below it.
+
+    It may be moved by `play` either way and stays in the gap.
+    """
 
     count: int
     ceiling: float
+    play: float = 0.0
 
 
 def _cut(ritz: Ritz, k: int, allowed: float, *, separated: float) -> _Cut | None:
@@ -263,12 +268,25 @@ def _cut(ritz: Ritz, k: int, allowed: float, *, separated: float) -> _Cut | None
         gaps = values[k : last + 1] - values[k - 1 : last]
         if len(gaps) and gaps.max() > separated:
             count = k + int(np.argmax(gaps))
-            return _Cut(count, float(values[count - 1] + values[count]) / 2)
+            low, high = float(values[count - 1]), float(values[count])
+            return _Cut(count, (low + high) / 2, 0.3 * (high - low))
         if last < k + window:
             break
         window *= 2
     first = int(np.searchsorted(values, values[k - 1] - 0.25 * allowed))
     return _Cut(first, float(values[first]) - 0.5 * allowed)
+
+
+def _counted(stiffness: SparseMatrix, mass: Mass, cut: _Cut) -> tuple[int, _Cut]:
+    """The number of eigenvalues below the ceiling, moved to where that can be told."""
+    shares = [0.0, -1.0, 1.0, -0.5, 0.5]
+    while True:
+        moved = replace(cut, ceiling=cut.ceiling + shares.pop(0) * cut.play)
+        try:
+            return factorise(stiffness, mass, moved.ceiling).count_below, moved
+        except UnstableError:
+            if not (shares and cut.play):
+                raise
 
 
 def with_signs(
