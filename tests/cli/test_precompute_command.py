@@ -1,10 +1,5 @@
 import json
-import os
-import re
-import subprocess
-import sys
 
-import pytest
 from test_cli import run, shapes  # noqa: F401
 
 
@@ -43,31 +38,3 @@ def test_shapes_that_fail_are_listed(shapes, tmp_path):  # noqa: F811
     assert "1 of 4 shapes failed" in done.stderr
     again = run("precompute", shapes, "-o", store, "-m", "gps", "--json", expect=1)
     assert list(json.loads(again.stdout)["failed"]) == ["tr_reg_010"]
-
-
-def test_a_cluster_computes_the_same_bytes(shapes, tmp_path):  # noqa: F811
-    pytest.importorskip("distributed", reason="a cluster needs the extra `cluster`")
-    start = [sys.executable, "-m", "dask", "scheduler"]
-    started = []
-    try:
-        scheduler = subprocess.Popen(
-            [*start, "--port", "0", "--host", "127.0.0.1", "--no-dashboard"],
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        started.append(scheduler)
-        address = next(
-            found[0] for line in scheduler.stderr if (found := re.search(r"tcp://127\S+\d", line))
-        )
-        worker = [sys.executable, "-m", "dask", "worker", address, "--no-dashboard"]
-        worker += ["--nthreads", "1", "--local-directory", str(tmp_path)]
-        started.append(subprocess.Popen(worker, cwd=tmp_path, stderr=subprocess.DEVNULL))
-        made = ("precompute", os.path.relpath(shapes), "-m", "gps", "-o")
-        run(*made, tmp_path / "cluster.h5", "--scheduler", address)
-    finally:
-        for process in reversed(started):
-            process.terminate()
-            process.wait()
-        scheduler.stderr.close()
-    run(*made, tmp_path / "here.h5", "--workers", 1)
-    assert (tmp_path / "cluster.h5").read_bytes() == (tmp_path / "here.h5").read_bytes()
