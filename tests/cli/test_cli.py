@@ -171,3 +171,15 @@ def test_sequences_are_listed_and_selected(tmp_path):
     assert run("data", "list", source).stdout == "50002\thips\t30\n"
     assert "4 frames" in run("data", "select", source, "-o", selection, "--per-subject", 4).stdout
     assert run("data", "list", selection).stdout == "50002\thips\t4\n"
+
+
+def test_a_batch_of_pairs(shapes, tmp_path):
+    pairs = shapes / "pairs.csv"
+    pairs.write_text("source,target\ntr_reg_000.off,tr_reg_010.off\ntr_reg_010.off,no.off\n")
+    done = run("match", "--batch", pairs, "-m", "hks", "-o", tmp_path, "--workers", 2, expect=1)
+    assert "no.off" in done.stdout
+    assert "1 of 2 pairs matched" in done.stdout
+    assert done.stderr == "esd: 1 of 2 pairs failed; the other maps are written.\n"
+    assert len((tmp_path / "tr_reg_000-tr_reg_010.csv").read_text().splitlines()) == 385
+    assert "--force" in run("match", "--batch", pairs, "-o", tmp_path, expect=1).stderr
+    run("match", "--batch", pairs, "--view", expect=2)

@@ -24,7 +24,7 @@ def table():
     points = generator.standard_normal((40, 12))
     values = np.concatenate([points + 0.1 * generator.standard_normal((40, 12)) for _ in range(3)])
     rows = tuple(np.arange(40) + 40 * i for i in range(3))
-    return PointTable(values.astype(np.float32), rows, ("t",) * 3)
+    return PointTable(values.astype(np.float32), rows, np.zeros(3, dtype=int))
 
 
 @pytest.mark.parametrize("hidden", [HIDDEN, [(6,), (3,)], [(6, 5, 5), (3, 3, 3)]])

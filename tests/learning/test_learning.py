@@ -6,10 +6,12 @@ import pytest
 
 from esd.common import InputError
 from esd.datasets.collection import Collection, Shape
+from esd.datasets.open import open_collection
+from esd.datasets.precompute import precompute
 from esd.descriptors.recipe import Descriptor, Recipe, single_recipe
 from esd.learning.losses import contrastive_loss, infonce_loss, pair_criteria
 from esd.learning.model import Layer, Model, load_model, raw_model, save_model
-from esd.learning.pairs import draw_matches, draw_pairs, point_table, standardisation
+from esd.learning.pairs import draw_matches, draw_pairs, point_table, standardisation, stored_table
 from esd.learning.presets import PRESETS, Training, preset
 from esd.mesh.mesh import Mesh
 
@@ -151,6 +153,43 @@ def test_training_separates_pairs_and_embeds_without_torch(collection):
         trained.embed(values), theirs.numpy(), rtol=1e-4, atol=1e-4
     )  # 32 bit
     assert trained.embed_mesh(mesh).shape == (len(mesh.vertices), 4)
+
+
+def test_training_from_a_store_is_that_in_memory(collection, tmp_path):
+    path = tmp_path / "s.h5"
+    precompute(collection, TRAINING.recipe, path, workers=1)
+    short = replace(TRAINING, steps=50, points=40)
+    stored = train(open_collection(path), short, validation=open_collection(path))
+    direct = train(collection, replace(short, points=None), validation=collection)
+    # the same draws; mean and deviation are those of the shapes combined, equal to rounding
+    np.testing.assert_allclose(stored.mean, direct.mean, rtol=1e-6)
+    np.testing.assert_allclose(stored.deviation, direct.deviation, rtol=1e-6)
+    for a, b in zip(stored.layers, direct.layers, strict=True):
+        np.testing.assert_allclose(a.weight, b.weight, atol=1e-3)
+    table = stored_table(open_collection(path), TRAINING.recipe)
+    assert isinstance(table.values, np.memmap)
+    plain = train(open_collection(path), replace(short, standardise=False, steps=2))
+    assert (plain.mean == 0).all()
+
+
+def test_stores_of_other_recipes_are_not_trained_on(collection, tmp_path):
+    path = tmp_path / "s.h5"
+    precompute(collection, TRAINING.recipe, path, workers=1)
+    opened = open_collection(path)
+    for other in (replace(TRAINING, recipe=single_recipe("gps")), replace(TRAINING, remeshings=1)):
+        with pytest.raises(InputError, match="does not hold what this training takes"):
+            train(opened, other)
+    with pytest.raises(InputError, match="is a store; see `stored_table`"):
+        point_table(opened, TRAINING.recipe)
+
+
+def test_copies_in_a_store_are_trained_on(collection, tmp_path):
+    path = tmp_path / "s.h5"
+    precompute(collection, TRAINING.recipe, path, remeshings=1, workers=1)
+    opened = open_collection(path)
+    assert len(opened.shapes) == 4
+    assert len(stored_table(opened, TRAINING.recipe, copies=1).rows) == 8
+    assert len(stored_table(opened, TRAINING.recipe).rows) == 4
 
 
 def test_equal_seeds_give_equal_weights_and_others_do_not(collection):

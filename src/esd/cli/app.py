@@ -18,6 +18,7 @@ from esd.cli.export import export
 from esd.cli.match import match
 from esd.cli.model import model
 from esd.cli.output import telling
+from esd.cli.precompute import precompute
 from esd.cli.reproduce import reproduce
 from esd.cli.spectrum import spectrum
 from esd.cli.train import train
@@ -34,7 +35,11 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 _EXAMPLES: dict[Callable[..., None], tuple[str, ...]] = {
-    match: ("esd match a.ply b.ply -o map.csv", "esd match a.ply b.ply --view"),
+    match: (
+        "esd match a.ply b.ply -o map.csv",
+        "esd match a.ply b.ply --view",
+        "esd match --batch pairs.csv",
+    ),
     view: (
         "esd view a.ply b.ply map.csv --open",
         "esd view a.ply b.ply map.csv --points a.vts b.vts -o page.html",
@@ -48,7 +53,14 @@ _EXAMPLES: dict[Callable[..., None], tuple[str, ...]] = {
         "esd export a.ply b.ply map.csv -o a-matched.vtp",
         "esd export a.ply b.ply map.csv -o map.vts",
     ),
-    train: ("esd train bodies --preset paper-hks -o my-model",),
+    precompute: (
+        "esd precompute DATASET -o descriptors.h5 --preset paper-hks",
+        "esd precompute DATASET -o descriptors.h5 --scheduler tcp://host:8786",
+    ),
+    train: (
+        "esd train bodies --preset paper-hks -o my-model",
+        "esd train descriptors.h5 --preset paper-hks -o my-model",
+    ),
     evaluate: ("esd evaluate bodies --include 's1[0-3]_p0[0369]'",),
     spectrum: ("esd spectrum a.ply -k 100 -o a.npz",),
     descriptor: ("esd descriptor a.ply --kind wks -o a-wks.npz",),
@@ -91,7 +103,8 @@ def main() -> None:
         _log.info("It failed here:", exc_info=error)
         _fail(str(error))
     except ModuleNotFoundError as error:
-        extra = {"torch": "train", "matplotlib": "viz", "PIL": "viz"}.get(error.name or "")
+        extras = {"torch": "train", "matplotlib": "viz", "PIL": "viz", "distributed": "cluster"}
+        extra = extras.get(error.name or "")
         if extra is None:
             raise
         _fail(f"This needs {error.name}: pip install 'esd[{extra}]'.")

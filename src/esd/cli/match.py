@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from esd.cli.output import ForceOption, free_path, tell
+from esd.cli.progress import progress
 
+WorkersOption = Annotated[
+    int | None,
+    typer.Option(min=1, help="Processes; by default one for each core.", show_default=False),
+]
 ModelOption = Annotated[
     str,
     typer.Option(
@@ -19,15 +25,20 @@ ModelOption = Annotated[
 
 
 def match(
-    source: Annotated[Path, typer.Argument(help="Mesh whose vertices are mapped.")],
-    target: Annotated[Path, typer.Argument(help="Mesh that they are mapped to.")],
+    source: Annotated[
+        Path | None, typer.Argument(help="Mesh whose vertices are mapped.", show_default=False)
+    ] = None,
+    target: Annotated[
+        Path | None, typer.Argument(help="Mesh that they are mapped to.", show_default=False)
+    ] = None,
     output: Annotated[
         Path | None,
         typer.Option(
             "--output",
             "-o",
             metavar="MAP",
-            help="Ends in .csv, .npy, .txt or .vts; by default SOURCE-TARGET.csv.",
+            help="Ends in .csv, .npy, .txt or .vts; by default SOURCE-TARGET.csv. With --batch, "
+            "the folder of the maps that have no output.",
         ),
     ] = None,
     model: ModelOption = "default",
@@ -54,6 +65,15 @@ def match(
         bool,
         typer.Option("--repair", help="Repair all that esd doctor would, not the harmless alone."),
     ] = False,
+    batch: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="PAIRS",
+            help="Instead of SOURCE and TARGET: a .csv file of such, with the columns source, "
+            "target and, if wanted, output; names relative to its folder.",
+        ),
+    ] = None,
+    workers: WorkersOption = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print a summary as JSON.")] = False,
     force: ForceOption = False,
 ) -> None:
@@ -70,6 +90,15 @@ def match(
     from esd.matching.match import match as match_meshes
     from esd.mesh.doctor import repair as repaired
 
+    if batch is not None:
+        if source or view:
+            raise typer.BadParameter("--batch takes neither SOURCE and TARGET nor --view.")
+        options: dict[str, Any] = {"refine": refine, "reject": reject}
+        options |= {"one_to_one": one_to_one, "everything": repair, "workers": workers}
+        _match_batch(batch, output, model, as_json=as_json, force=force, **options)
+        return
+    if source is None or target is None:
+        raise typer.BadParameter("SOURCE and TARGET are needed, or --batch PAIRS.")
     start = time.perf_counter()
     path = free_path(
         check_map_path(output or Path(f"{source.stem}-{target.stem}.csv")), force=force
@@ -117,3 +146,35 @@ def match(
 
         write_page((source, as_mesh(source)), (target, as_mesh(target)), result, page)
         typer.launch(str(page.resolve()))
+
+
+def _match_batch(
+    batch: Path, folder: Path | None, model: str, *, as_json: bool, force: bool, **options: Any
+) -> None:
+    import time
+
+    from esd.common import InputError
+    from esd.learning.model import load_model
+    from esd.matching.batch import match_files, read_pairs_of_files
+
+    start = time.perf_counter()
+    pairs = read_pairs_of_files(batch, folder=folder or Path())
+    for pair in pairs:
+        free_path(pair.output, force=force)
+    loaded = load_model(model)
+    steps = len(pairs) + len({file for pair in pairs for file in (pair.source, pair.target)})
+    maps, failed = [], 0
+    with progress("matching", steps) as went:
+        for done in match_files(pairs, model=loaded, on_step=lambda: went(1), **options):
+            names = {key: str(getattr(done.pair, key)) for key in ("source", "target", "output")}
+            maps.append({**names, **{k: v for k, v in asdict(done).items() if k != "pair"}})
+            failed += done.failure is not None
+            if not as_json and done.failure:
+                typer.echo(f"{done.pair.output}\t{done.failure}")
+    if as_json:
+        seconds = time.perf_counter() - start
+        typer.echo(json.dumps({"model": loaded.name, "maps": maps, "seconds": seconds}))
+    else:
+        tell(f"{len(pairs) - failed} of {len(pairs)} pairs matched")
+    if failed:
+        raise InputError(f"{failed} of {len(pairs)} pairs failed; the other maps are written.")

@@ -13,7 +13,8 @@ DatasetArgument = Annotated[
     str,
     typer.Argument(
         metavar="DATASET",
-        help="A folder with shapes/ and corres/ or with meshes of one connectivity, or 'bodies'.",
+        help="A folder with shapes/ and corres/ or with meshes of one connectivity, an HDF5 file "
+        "of Dyna or of esd precompute, or 'bodies'.",
     ),
 ]
 
@@ -76,7 +77,7 @@ def train(
         chosen = chosen.excluding_subjects(held.subjects)
     elif hold_out:
         chosen, held = split_by_subject(chosen, held_out=hold_out, seed=seed)
-    shapes = len(chosen.shapes) + (len(held.shapes) if held else 0)
+    shapes = 0 if whole.store else len(chosen.shapes) + (len(held.shapes) if held else 0)
     done = 0
     with progress("describing", shapes) as described, progress("training", training.steps) as went:
 

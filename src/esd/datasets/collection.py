@@ -53,11 +53,14 @@ class Collection:
         In the order in which figures name them.
     testing_subjects
         Subjects that the makers of the data set keep for testing.
+    store
+        File that holds the descriptors of its shapes, see `esd.datasets.store`, if one does.
     """
 
     name: str
     shapes: tuple[Shape, ...]
     testing_subjects: tuple[str, ...] = ()
+    store: Path | None = None
 
     def __getitem__(self, name: str) -> Shape:
         """The shape of a name.

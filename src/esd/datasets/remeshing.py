@@ -85,10 +85,15 @@ def with_remeshings(collection: Collection, copies: int, *, seed: int) -> Collec
                     vertex_count=round(count),
                     style=_TRAINING_STYLES[generator.integers(len(_TRAINING_STYLES))],
                     seed=int(generator.integers(2**32)),
-                    name=f"{shape.name}~{copy}",
+                    name=copy_name(shape.name, copy),
                 )
             )
     return replace(collection, shapes=tuple(shapes))
+
+
+def copy_name(name: str, copy: int) -> str:
+    """Name of a copy, from 0, that `with_remeshings` makes of a shape."""
+    return f"{name}~{copy}"
 
 
 @lru_cache(maxsize=4)  # mesh and correspondences are asked for one after the other

@@ -10,11 +10,26 @@ import numpy.typing as npt
 
 from esd.common import FloatArray, InputError, IntArray
 from esd.datasets.collection import Collection, check_correspondence
+from esd.datasets.remeshing import copy_name
+from esd.datasets.store import open_store
 from esd.descriptors.recipe import Recipe, descriptors
 from esd.learning.model import standardised
 from esd.spectral.cache import Cache
 
 _CHUNK = 2**16  # rows
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Standardisation:
+    """What `esd.learning.model.standardised` does to descriptors, for its parameters."""
+
+    mean: FloatArray
+    deviation: FloatArray
+    limit: float | None
+
+    def __call__(self, values: FloatArray) -> FloatArray:
+        """Standardised descriptors."""
+        return standardised(values, self.mean, self.deviation, limit=self.limit)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,23 +42,57 @@ class PointTable:
         Descriptors, the shapes one after another.
     rows : for each shape (points,) int64
         Row of `values` at each point of the shape's template; -1 where it has none.
-    templates
-        Template of each shape.
+    templates : (shapes,) int64
+        Number of the template of each shape.
+    stored
+        Of a table in a store, whose `values` and `rows` are read from the file when they are used:
+        what is not.
     """
 
     values: npt.NDArray[np.float32]
     rows: tuple[IntArray, ...]
-    templates: tuple[str, ...]
+    templates: IntArray
+    stored: Stored | None = None
+
+    def at(self, rows: IntArray) -> npt.NDArray[np.float32]:
+        """Descriptors at some rows, (r, width)."""
+        values = self.values[rows]
+        if self.stored is None or self.stored.standardisation is None:
+            return values
+        return self.stored.standardisation(values).astype(np.float32)
 
     def standardised(
         self, mean: FloatArray, deviation: FloatArray, *, limit: float | None = None
     ) -> PointTable:
         """The table with its values as `esd.learning.model.standardised` makes them."""
+        change = Standardisation(mean, deviation, limit)
+        if self.stored is not None:
+            return replace(self, stored=replace(self.stored, standardisation=change))
         values = np.empty_like(self.values)
         for start in range(0, len(values), _CHUNK):  # float64 of all at once may be too much
             part = slice(start, start + _CHUNK)
-            values[part] = standardised(self.values[part], mean, deviation, limit=limit)
+            values[part] = change(self.values[part])
         return replace(self, values=values)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stored:
+    """What is in memory of a `PointTable` in a store.
+
+    Parameters
+    ----------
+    keys
+        Of the content of each shape.
+    mean, deviation : (width,)
+        Of the columns of its values, as they are in the file, over its shapes.
+    standardisation
+        Of the values when they are read.
+    """
+
+    keys: tuple[str, ...]
+    mean: FloatArray
+    deviation: FloatArray
+    standardisation: Standardisation | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,6 +135,8 @@ def point_table(
     InputError
         If a shape cannot be read or described, or points outside its mesh.
     """
+    if collection.store is not None:
+        raise InputError(f"'{collection.store}' is a store; see `stored_table`.")
     values, rows, start = [], [], 0
     for shape in collection.shapes:
         mesh = shape.mesh()
@@ -106,8 +157,48 @@ def point_table(
         values.append(columns.astype(np.float32))
         start += len(columns)
         on_shape()
-    templates = tuple(shape.template for shape in collection.shapes)
+    templates = _numbered([shape.template for shape in collection.shapes])
     return PointTable(np.concatenate(values), tuple(rows), templates)
+
+
+def stored_table(collection: Collection, recipe: Recipe, *, copies: int = 0) -> PointTable:
+    """The table of a collection in a store, of which a row is read when it is drawn.
+
+    Parameters
+    ----------
+    copies
+        Copies of each shape with other triangles that belong to it as well; those that could not
+        be computed are left out.
+
+    Raises
+    ------
+    InputError
+        If the store lacks such copies, or is of another recipe.
+    """
+    assert collection.store is not None
+    store = open_store(collection.store)
+    if store.recipe.to_json() != recipe.to_json() or store.remeshings < copies:
+        raise InputError(
+            f"'{store.path}' does not hold what this training takes: its descriptors are of "
+            "another recipe, or without its copies of other triangles. Make another by "
+            "`esd precompute` with the preset of the training."
+        )
+    place = {name: i for i, name in enumerate(store.names)}
+    names = [shape.name for shape in collection.shapes]
+    names += [copy_name(name, i) for name in names for i in range(copies)]
+    chosen = [place[name] for name in names if name in place]
+    mean, variance = store.moments(chosen)
+    deviation = np.where(variance > 0, np.sqrt(variance), 1.0)
+    return PointTable(
+        store.descriptors,
+        tuple(store.rows_of(i) for i in chosen),
+        _numbered([store.templates[i] for i in chosen]),
+        Stored(tuple(store.keys[i] for i in chosen), mean, deviation),
+    )
+
+
+def _numbered(templates: list[str]) -> IntArray:
+    return np.asarray(np.unique(templates, return_inverse=True)[1], dtype=np.int64)
 
 
 def standardisation(table: PointTable) -> tuple[FloatArray, FloatArray]:
@@ -115,6 +206,8 @@ def standardisation(table: PointTable) -> tuple[FloatArray, FloatArray]:
 
     Columns that never vary have deviation one.
     """
+    if table.stored is not None:
+        return table.stored.mean, table.stored.deviation
     values = table.values[np.isfinite(table.values).all(axis=1)]
     mean = values.mean(axis=0, dtype=np.float64)
     deviation = values.std(axis=0, dtype=np.float64)
@@ -166,12 +259,11 @@ def draw_matches(table: PointTable, generator: np.random.Generator, *, count: in
 def _draw_shapes(table: PointTable, generator: np.random.Generator) -> tuple[IntArray, IntArray]:
     """Rows of two different shapes of one template at the points that both have."""
     a = int(generator.integers(len(table.rows)))
-    partners = [
-        i for i, template in enumerate(table.templates) if template == table.templates[a] and i != a
-    ]
-    if not partners:
+    partners = np.flatnonzero(table.templates == table.templates[a])
+    if len(partners) < 2:
         raise InputError("Training needs at least two shapes of each template.")
-    b = partners[int(generator.integers(len(partners)))]
+    drawn = int(generator.integers(len(partners) - 1))
+    b = int(partners[drawn + (drawn >= np.searchsorted(partners, a))])  # any of them but a
     both = np.flatnonzero((table.rows[a] >= 0) & (table.rows[b] >= 0))
     if len(both) < 2:
         raise InputError("Two training shapes have fewer than two points in common.")

@@ -30,6 +30,7 @@ from esd.learning.pairs import (
     draw_pairs,
     point_table,
     standardisation,
+    stored_table,
 )
 from esd.learning.presets import Training
 from esd.spectral.cache import Cache, content_key
@@ -65,7 +66,7 @@ class Progress:
 class _HeldOut:
     """Batches of validation pairs, the same at each look."""
 
-    values: torch.Tensor
+    table: PointTable
     batches: tuple[PairBatch, ...]
 
 
@@ -100,6 +101,9 @@ def train(
 
     Parameters
     ----------
+    collection
+        Of meshes, or of a store (`esd.datasets.store.store_collection`), of which each step reads
+        the points that it draws, and `training.points` is not needed.
     name
         Of the model.
     validation
@@ -122,7 +126,11 @@ def train(
     describe = partial(
         point_table, recipe=training.recipe, points=training.points, cache=cache, on_shape=on_shape
     )
-    table = describe(with_remeshings(collection, training.remeshings, seed=seed))
+    if collection.store is not None:
+        describe = partial(stored_table, recipe=training.recipe)
+        table = stored_table(collection, training.recipe, copies=training.remeshings)
+    else:
+        table = describe(with_remeshings(collection, training.remeshings, seed=seed))
     width = training.recipe.width
     mean, deviation = (
         standardisation(table) if training.standardise else (np.zeros(width), np.ones(width))
@@ -132,7 +140,7 @@ def train(
     if validation is not None:
         held = describe(validation).standardised(mean, deviation, limit=training.limit)
         batches = (_draw(held, training, _LARGEST_SEED, i) for i in range(_VALIDATION_BATCHES))
-        held_out = _HeldOut(torch.from_numpy(held.values), tuple(batches))
+        held_out = _HeldOut(held, tuple(batches))
 
     run = _start(training, seed)
     path = Path(checkpoint) if checkpoint is not None else None
@@ -213,13 +221,12 @@ def _start(training: Training, seed: int) -> _Run:
 
 def _advance(run: _Run, table: PointTable, training: Training, seed: int) -> None:
     """Go on to the next look, or to the last step."""
-    values = torch.from_numpy(table.values)
     stop = min(run.step + CHECK_EVERY, training.steps)
     for step in range(run.step, stop):
         run.optimiser.param_groups[0]["lr"] = learning_rate(training, step)
         batch = _draw(table, training, seed, step)
         dropout = torch.Generator().manual_seed(_LARGEST_SEED * step + seed)
-        loss = _losses(run.network, values, batch, training, dropout=dropout).sum()
+        loss = _losses(run.network, table, batch, training, dropout=dropout).sum()
         run.optimiser.zero_grad()
         loss.backward()
         run.optimiser.step()
@@ -236,14 +243,14 @@ def learning_rate(training: Training, step: int) -> float:
 
 def _losses(
     network: torch.nn.Sequential,
-    values: torch.Tensor,
+    table: PointTable,
     batch: PairBatch,
     training: Training,
     *,
     dropout: torch.Generator | None = None,
 ) -> torch.Tensor:
     """Loss of each pair of a batch, (b,); with descriptors dropped at random, or all there."""
-    described = values[torch.from_numpy(np.concatenate([batch.source, batch.target]))]
+    described = torch.from_numpy(table.at(np.concatenate([batch.source, batch.target])))
     if training.dropout and dropout is not None:
         kept = torch.rand(described.shape, generator=dropout) >= training.dropout
         described = described * kept / (1 - training.dropout)
@@ -260,7 +267,7 @@ def _look(run: _Run, held_out: _HeldOut, training: Training) -> float:
     """The loss on the validation pairs; keeps the weights if they are the best so far."""
     with torch.no_grad():
         losses = [
-            _losses(run.network, held_out.values, batch, training) for batch in held_out.batches
+            _losses(run.network, held_out.table, batch, training) for batch in held_out.batches
         ]
     mean = float(torch.cat(losses).double().mean())
     if mean < run.best_loss:
@@ -284,10 +291,16 @@ def _layers(weights: list[torch.Tensor]) -> tuple[Layer, ...]:
 
 def _identity(table: PointTable, held_out: _HeldOut | None, training: Training, seed: int) -> str:
     """What a training depends on; a checkpoint goes on only with the same."""
-    arrays: list[npt.NDArray[Any]] = [table.values, *table.rows]
+    arrays = _content(table)
     if held_out is not None:
-        arrays += [held_out.values.numpy(), *(batch.source for batch in held_out.batches)]
+        arrays += [*_content(held_out.table), *(batch.source for batch in held_out.batches)]
     return content_key("training", *arrays, training=asdict(training), seed=seed)
+
+
+def _content(table: PointTable) -> list[npt.NDArray[Any]]:
+    if table.stored is not None:
+        return [np.array(table.stored.keys)]
+    return [table.values, *table.rows]
 
 
 def _save_checkpoint(run: _Run, path: Path, identity: str) -> None:

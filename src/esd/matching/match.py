@@ -63,16 +63,40 @@ def match(
     """
     model = model if isinstance(model, Model) else load_model(model)
     cache = default_cache() if cache is None else cache
-    refine = model.is_oriented if refine is None else refine
     shapes = repair(source), repair(target)
     spectra = [recipe_spectrum(model.recipe, each.shape, cache=cache) for each in shapes]
     embedded = [
         model.embed_spectrum(each.shape, pairs) for each, pairs in zip(shapes, spectra, strict=True)
     ]
+    found = match_described(
+        shapes,
+        (spectra[0], spectra[1]),
+        (embedded[0], embedded[1]),
+        model=model,
+        refine=refine,
+        one_to_one=one_to_one,
+    )
+    for name, each in zip(("source", "target"), shapes, strict=True):
+        if each.in_a_line():
+            _log.warning("The %s has %s.", name, each.in_a_line())
+    return found
+
+
+def match_described(
+    shapes: tuple[Repaired, Repaired],
+    spectra: tuple[Spectrum, Spectrum],
+    embedded: tuple[FloatArray, FloatArray],
+    *,
+    model: Model,
+    refine: bool | None,
+    one_to_one: bool,
+) -> Correspondence:
+    """As `match`, of a source and a target with their spectra and embeddings by the model."""
+    refine = model.is_oriented if refine is None else refine
     found = match_embedded(
         *embedded,
         margin=model.margin,
-        spectra=(spectra[0], spectra[1]) if refine else None,
+        spectra=spectra if refine else None,
         one_to_one=one_to_one,
     )
     back = match_embedded(
@@ -82,9 +106,6 @@ def match(
         sizes=_BACK_SIZES,
     )
     found = _judged(found, back, *shapes)
-    for name, each in zip(("source", "target"), shapes, strict=True):
-        if each.in_a_line():
-            _log.warning("The %s has %s.", name, each.in_a_line())
     return for_original_vertices(found, *shapes)
 
 

@@ -1,0 +1,109 @@
+"""`esd precompute`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from esd.cli.match import WorkersOption
+from esd.cli.output import ForceOption, tell
+from esd.cli.train import DatasetArgument
+
+SchedulerOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS",
+        help="Compute on the workers of a Dask scheduler, such as tcp://host:8786.",
+    ),
+]
+
+
+def precompute(
+    dataset: DatasetArgument,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="STORE", help="HDF5 file; ends in .h5.")
+    ],
+    include: Annotated[
+        str | None, typer.Option(metavar="GLOB", help="Only shapes with such names.")
+    ] = None,
+    preset: Annotated[
+        str | None, typer.Option(help="Of the training that the descriptors are for.")
+    ] = None,
+    model: Annotated[
+        str | None,
+        typer.Option(
+            "--model",
+            "-m",
+            metavar="MODEL",
+            help="Instead: a model whose descriptors are taken; by default 'default'.",
+        ),
+    ] = None,
+    workers: WorkersOption = None,
+    scheduler: SchedulerOption = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print a summary as JSON.")] = False,
+    force: ForceOption = False,
+) -> None:
+    """Write the descriptors of all shapes of DATASET to a store that esd train reads.
+
+    A store that exists is brought up to date: only shapes that are new or have changed are
+    computed, and an interrupted run goes on. --force makes it anew.
+    """
+    import time
+
+    from esd.cli.progress import progress
+    from esd.common import InputError
+    from esd.datasets.open import open_collection
+    from esd.datasets.precompute import precompute as precompute_collection
+    from esd.learning.model import load_model
+    from esd.learning.presets import preset as named_preset
+
+    start = time.perf_counter()
+    if preset and model:
+        raise InputError("Give --preset or --model, not both.")
+    if workers and scheduler:
+        raise InputError("Give --workers or --scheduler, not both.")
+    if output.suffix.lower() not in (".h5", ".hdf5"):
+        raise InputError(f"'{output}': stores are written to .h5 files.")
+    training = named_preset(preset) if preset else None
+    recipe = training.recipe if training else load_model(model or "default").recipe
+    remeshings = training.remeshings if training else 0
+    # workers of a cluster may run in other folders
+    collection = open_collection(Path(dataset).resolve() if Path(dataset).exists() else dataset)
+    if collection.store is not None:
+        raise InputError(f"'{dataset}' is a store already; name the data set it was made of.")
+    if include:
+        collection = collection.including(include)
+    if force:
+        output.unlink(missing_ok=True)
+    total = len(collection.shapes) * (1 + remeshings)
+    with progress("describing", total) as went:
+        done = precompute_collection(
+            collection,
+            recipe,
+            output,
+            remeshings=remeshings,
+            workers=workers,
+            scheduler=scheduler,
+            on_shape=lambda: went(1),
+        )
+    summary = {
+        "store": str(output),
+        "computed": done.computed,
+        "unchanged": done.unchanged,
+        "failed": dict(done.failures),
+        "seconds": time.perf_counter() - start,
+    }
+    if as_json:
+        typer.echo(json.dumps(summary))
+    else:
+        for name, reason in done.failures:
+            typer.echo(f"{name}\t{reason}")
+        tell(f"{done.computed} shapes computed, {done.unchanged} unchanged: {output}")
+    if done.failures:
+        raise InputError(
+            f"{len(done.failures)} of {total} shapes failed; the others are in '{output}'. Give "
+            "the command again when these are mended."
+        )

@@ -1,0 +1,230 @@
+"""Maps of many pairs of shapes, of which each is described only once."""
+
+from __future__ import annotations
+
+import csv
+import os
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from esd.common import FloatArray, InputError
+from esd.descriptors.recipe import recipe_spectrum
+from esd.learning.model import Model
+from esd.matching.correspondence import Correspondence, check_map_path, save_map
+from esd.matching.match import match_described
+from esd.mesh.doctor import Repaired, repair
+from esd.parallel import outcomes
+from esd.spectral.cache import default_cache
+from esd.spectral.spectrum import Spectrum
+
+
+@dataclass(frozen=True, slots=True)
+class PairOfFiles:
+    """Two shapes, and the file that their map goes to."""
+
+    source: Path
+    target: Path
+    output: Path
+
+
+@dataclass(frozen=True, slots=True)
+class MatchedPair:
+    """What became of a pair: figures of its map, or in words why there is none.
+
+    Parameters
+    ----------
+    pair
+        The files.
+    matched
+        Number of the source's vertices that have a match.
+    coverage
+        Share of the target's vertices that are matched.
+    verdict, expected_accuracy
+        See `esd.matching.confidence.Judgement`; None where the map was not judged.
+    failure
+        None if the map was written.
+    """
+
+    pair: PairOfFiles
+    matched: int = 0
+    coverage: float = 0.0
+    verdict: str | None = None
+    expected_accuracy: float | None = None
+    failure: str | None = None
+
+
+def read_pairs_of_files(
+    path: str | os.PathLike[str], *, folder: str | os.PathLike[str] = "."
+) -> tuple[PairOfFiles, ...]:
+    """Pairs in a CSV file with the columns `source,target` and, if wanted, `output`.
+
+    Names are relative to the folder of that file.
+
+    Parameters
+    ----------
+    folder
+        Where maps go that have no output: to `SOURCE-TARGET.csv`.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or not so, or two maps go to one file.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"There is no file '{path}'.")
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            rows = csv.DictReader(file, skipinitialspace=True)
+            if not {"source", "target"} <= set(rows.fieldnames or ()):
+                raise InputError(f"'{path}' must have the columns source,target (and output).")
+            listed = [
+                [(row[key] or "").strip() for key in ("source", "target")]
+                + [(row.get("output") or "").strip()]
+                for row in rows
+            ]
+    except (csv.Error, UnicodeDecodeError) as error:
+        raise InputError(f"'{path}' is no CSV file: {error}.") from error
+    pairs = []
+    for number, (source, target, output) in enumerate(listed, start=1):
+        if not source or not target:
+            raise InputError(f"'{path}', pair {number}: a source and a target are needed.")
+        default = Path(folder) / f"{Path(source).stem}-{Path(target).stem}.csv"
+        written = check_map_path(path.parent / output if output else default)
+        pairs.append(PairOfFiles(path.parent / source, path.parent / target, written))
+    if not pairs:
+        raise InputError(f"'{path}' lists no pair.")
+    outputs = [pair.output.resolve() for pair in pairs]
+    if len(set(outputs)) < len(outputs):
+        twice = next(output for output in outputs if outputs.count(output) > 1)
+        raise InputError(f"'{path}' has several maps to '{twice}'; give them other outputs.")
+    return tuple(pairs)
+
+
+def match_files(
+    pairs: tuple[PairOfFiles, ...],
+    *,
+    model: Model,
+    refine: bool | None = None,
+    one_to_one: bool = False,
+    reject: bool = False,
+    everything: bool = False,
+    workers: int | None = None,
+    on_step: Callable[[], None] = lambda: None,
+) -> Iterator[MatchedPair]:
+    """Match pairs of files in several processes and write their maps, as by `match`.
+
+    First the spectrum and the embedding of each shape are computed, once, and kept on disk
+    meanwhile; then the pairs are matched. What fails keeps none of the others back.
+
+    Parameters
+    ----------
+    reject
+        Whether matches beyond the model's threshold are dropped.
+    everything
+        See `esd.mesh.doctor.repair`.
+    workers
+        See `esd.parallel.outcomes`.
+    on_step
+        Called after each shape and after each pair, to show progress.
+    """
+    threshold = model.threshold() if reject else np.inf
+    files = list(dict.fromkeys(file for pair in pairs for file in (pair.source, pair.target)))
+    with tempfile.TemporaryDirectory(prefix="esd-") as name:
+        places = {file: Path(name) / str(number) for number, file in enumerate(files)}
+        describe = partial(_describe, places=places, model=model, everything=everything)
+        failures = {}
+        for described in outcomes(describe, files, workers=workers):
+            if described.failure:
+                failures[described.job] = f"'{described.job}': {described.failure}"
+            on_step()
+        sound = []
+        for pair in pairs:
+            failure = failures.get(pair.source) or failures.get(pair.target)
+            if failure:
+                on_step()
+                yield MatchedPair(pair, failure=failure)
+            else:
+                sound.append(pair)
+        work = partial(
+            _match,
+            places=places,
+            model=model,
+            refine=refine,
+            one_to_one=one_to_one,
+            threshold=threshold,
+            everything=everything,
+        )
+        for matched in outcomes(work, sound, workers=workers):
+            on_step()
+            yield matched.result or MatchedPair(matched.job, failure=matched.failure)
+
+
+def _describe(file: Path, *, places: dict[Path, Path], model: Model, everything: bool) -> None:
+    """Compute the spectrum and the embedding of a shape, and put them in a folder."""
+    shape = repair(file, everything=everything).shape
+    pairs = recipe_spectrum(model.recipe, shape, cache=default_cache())
+    folder = places[file]
+    folder.mkdir()
+    arrays = {
+        "eigenvalues": pairs.eigenvalues,
+        "eigenvectors": pairs.eigenvectors,
+        "mass": pairs.mass,
+        "zero_modes": np.array(pairs.zero_modes),
+        "embedded": model.embed_spectrum(shape, pairs),
+    }
+    for name, array in arrays.items():
+        np.save(folder / f"{name}.npy", array, allow_pickle=False)
+
+
+def _described(folder: Path) -> tuple[Spectrum, FloatArray]:
+    """What `_describe` wrote; large arrays are mapped, so that processes share them."""
+
+    def array(name: str) -> FloatArray:
+        return np.load(folder / f"{name}.npy", mmap_mode="r", allow_pickle=False)
+
+    pairs = Spectrum(
+        array("eigenvalues"), array("eigenvectors"), array("mass"), int(array("zero_modes"))
+    )
+    return pairs, array("embedded")
+
+
+def _match(
+    pair: PairOfFiles,
+    *,
+    places: dict[Path, Path],
+    model: Model,
+    refine: bool | None,
+    one_to_one: bool,
+    threshold: float,
+    everything: bool,
+) -> MatchedPair:
+    shapes: list[Repaired] = []
+    spectra, embedded = [], []
+    for file in (pair.source, pair.target):
+        shapes.append(repair(file, everything=everything))
+        spectrum, values = _described(places[file])
+        spectra.append(spectrum)
+        embedded.append(values)
+    found: Correspondence = match_described(
+        (shapes[0], shapes[1]),
+        (spectra[0], spectra[1]),
+        (embedded[0], embedded[1]),
+        model=model,
+        refine=refine,
+        one_to_one=one_to_one,
+    ).rejecting(threshold)
+    save_map(found, pair.output)
+    matched, judged = found.is_matched(), found.judgement
+    return MatchedPair(
+        pair,
+        int(matched.sum()),
+        len(np.unique(found.target_index[matched])) / len(shapes[1].vertex_index),
+        judged.verdict if judged else None,
+        judged.expected_accuracy if judged else None,
+    )

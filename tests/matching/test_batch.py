@@ -1,0 +1,74 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import esd.matching.batch as batch
+from esd.common import InputError
+from esd.descriptors.recipe import Descriptor, Recipe
+from esd.learning.model import Model
+from esd.matching.batch import match_files, read_pairs_of_files
+from esd.matching.correspondence import load_map
+from esd.matching.match import match
+from esd.mesh.files import write_mesh
+from esd.mesh.mesh import Mesh
+
+MODEL = Model(
+    "raw", Recipe((Descriptor("wks", 8),), eigenpairs=20), np.zeros(8), np.ones(8), margin=1e6
+)
+
+
+@pytest.fixture
+def folder(tmp_path, blob) -> Path:
+    for i, name in enumerate("abc"):
+        write_mesh(
+            Mesh(blob.vertices * (1 + 0.1 * i * np.arange(3)), blob.faces), tmp_path / f"{name}.off"
+        )
+    (tmp_path / "bad.off").write_text("OFF\n")
+    (tmp_path / "pairs.csv").write_text(
+        "source,target,output\na.off,b.off,\nb.off, a.off,ba.npy\na.off,bad.off,\nb.off,c.off,\n"
+    )
+    return tmp_path
+
+
+def test_a_batch_gives_the_maps_of_its_pairs_and_describes_each_shape_once(folder, monkeypatch):
+    pairs = read_pairs_of_files(folder / "pairs.csv", folder=folder)
+    computed, steps = [], []
+    compute = batch.recipe_spectrum
+    monkeypatch.setattr(
+        batch, "recipe_spectrum", lambda *a, **k: computed.append(1) or compute(*a, **k)
+    )
+    done = list(match_files(pairs, model=MODEL, workers=1, on_step=lambda: steps.append(1)))
+    assert len(computed) == 3
+    assert len(steps) == 4 + 4
+    failed = [each for each in done if each.failure]
+    assert [each.pair.target.name for each in failed] == ["bad.off"]
+    assert "bad.off" in failed[0].failure
+    for each in done:
+        if not each.failure:
+            single = match(each.pair.source, each.pair.target, model=MODEL)
+            count = len(single.target_index)
+            found = load_map(each.pair.output, source_count=count, target_count=count)
+            np.testing.assert_array_equal(found.target_index, single.target_index)
+            assert each.matched == len(single.target_index)
+    assert {file.name for file in folder.glob("*-*")} == {"a-b.csv", "b-c.csv"}
+    assert (folder / "ba.npy").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("a,b\n", "must have the columns source,target"),
+        ("source,target\n", "lists no pair"),
+        ("source,target\na.off,\n", "pair 1: a source and a target are needed"),
+        ("source,target\na.off,b.off\na.off,b.off\n", "several maps to"),
+        ("source,target,output\na.off,b.off,m.xyz\n", "a map's file ends in"),
+        ("source,target\n\x00\xff", "is no CSV file"),
+    ],
+)
+def test_bad_lists_of_pairs_are_refused(tmp_path, text, message):
+    (tmp_path / "p.csv").write_bytes(text.encode("latin-1"))
+    with pytest.raises(InputError, match=message):
+        read_pairs_of_files(tmp_path / "p.csv")
+    with pytest.raises(InputError, match="There is no file"):
+        read_pairs_of_files(tmp_path / "q.csv")

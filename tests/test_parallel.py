@@ -1,0 +1,89 @@
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from esd.common import InputError
+from esd.parallel import outcomes
+
+HERE = str(Path(__file__).parent)
+
+
+def square(number: int) -> int:
+    if number == 3:
+        raise InputError("not three")
+    if number == 4:
+        raise KeyError("four")
+    return number**2
+
+
+def square_or_die(number: int) -> int:
+    if number == 5:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number**2
+
+
+def sleep(path: str) -> None:
+    Path(path).write_text(str(os.getpid()))
+    time.sleep(60)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_jobs_that_fail_keep_none_of_the_others_back(workers):
+    found = {outcome.job: outcome for outcome in outcomes(square, range(20), workers=workers)}
+    assert sorted(found) == list(range(20))
+    assert found[3].failure == "not three"
+    assert found[4].failure == "KeyError: 'four'"
+    assert all(found[i].result == i**2 for i in found if i not in (3, 4))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="there is no SIGKILL on Windows")
+def test_a_job_that_kills_its_process_fails_alone():
+    found = {outcome.job: outcome for outcome in outcomes(square_or_die, range(12), workers=2)}
+    assert "died" in found.pop(5).failure
+    assert {job: outcome.result for job, outcome in found.items()} == {
+        i: i**2 for i in range(12) if i != 5
+    }
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="there is no SIGKILL on Windows")
+def test_processes_end_when_their_parent_is_killed(tmp_path):
+    code = (
+        "import test_parallel as t; from esd.parallel import outcomes\n"
+        f"if __name__ == '__main__': list(outcomes(t.sleep, [r'{tmp_path / 'a'}'], workers=2))"
+    )
+    script = tmp_path / "script.py"
+    script.write_text(code)
+    path = os.pathsep.join([HERE, *sys.path])
+    parent = subprocess.Popen([sys.executable, script], env={**os.environ, "PYTHONPATH": path})
+    deadline = time.monotonic() + 30
+    while not (tmp_path / "a").exists() or not (tmp_path / "a").read_text():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    worker = int((tmp_path / "a").read_text())
+    parent.kill()
+    parent.wait()
+    while _runs(worker):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+def _runs(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    status = Path(f"/proc/{process}/stat")  # where nobody collects orphans, they stay as zombies
+    return not (status.exists() and status.read_text().rpartition(")")[2].split()[0] == "Z")
+
+
+def test_impossible_settings_are_refused():
+    with pytest.raises(InputError, match="`workers` must be at least 1; got 0"):
+        list(outcomes(square, [1], workers=0))
+    pytest.importorskip("distributed", reason="a cluster needs the extra `cluster`")
+    with pytest.raises(InputError, match="No Dask scheduler answers at 'nonsense'"):
+        list(outcomes(square, [1], scheduler="nonsense"))
