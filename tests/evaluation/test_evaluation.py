@@ -8,7 +8,7 @@ from esd.datasets.collection import Shape
 from esd.descriptors.recipe import Descriptor, Recipe
 from esd.evaluation.errors import area_under_curve, cumulative_curve, geodesic_errors
 from esd.evaluation.protocol import evaluate
-from esd.learning.model import Model
+from esd.learning.model import Model, load_model
 from esd.matching.match import match_embedded
 from esd.mesh.geodesics import geodesic_diameter, geodesic_graph
 from esd.mesh.mesh import Mesh
@@ -120,3 +120,16 @@ def test_correspondences_beyond_the_mesh_are_refused(model, shapes):
     beyond = replace(shapes[1], correspondence=lambda: np.array([10**6]))
     with pytest.raises(InputError, match="'b' names vertex 1000000"):
         evaluate(model, [(shapes[0], beyond)])
+
+
+def test_broken_meshes_are_evaluated_as_they_are_matched(blob):
+
+    index = np.arange(len(blob.vertices))
+    twice = Mesh(blob.vertices, np.concatenate([blob.faces, blob.faces[:5, [0, 2, 1]]]))
+    whole, broken = (
+        Shape(name, name, "t", lambda mesh=mesh: mesh, lambda: index)
+        for name, mesh in (("a", blob), ("b", twice))
+    )
+    model = load_model("default")
+    result, _ = evaluate(model, [(whole, broken)])
+    assert result.mean_geodesic_error_x100 < 0.5

@@ -18,6 +18,7 @@ from esd.descriptors.recipe import recipe_spectrum
 from esd.evaluation.errors import area_under_curve, geodesic_errors
 from esd.learning.model import Model
 from esd.matching.match import match_embedded
+from esd.mesh.doctor import repair
 from esd.mesh.geodesics import geodesic_diameter, geodesic_graph
 from esd.mesh.mesh import Mesh, surface_area
 from esd.spectral.cache import Cache
@@ -169,6 +170,12 @@ def _embedded(model: Model, shape: Shape, cache: Cache | None) -> _Embedded:
     for truth in (index, symmetric):
         if truth is not None:
             check_correspondence(shape, truth, mesh)
+    repaired = repair(mesh, all_pieces=True)  # as maps are made
+    assert isinstance(repaired.shape, Mesh)
+    mesh = repaired.shape
+    index = np.where(index >= 0, repaired.vertex_index[index], -1)
+    if symmetric is not None:
+        symmetric = np.where(symmetric >= 0, repaired.vertex_index[symmetric], -1)
     try:
         pairs = recipe_spectrum(model.recipe, mesh, cache=cache)
         values = model.embed_spectrum(mesh, pairs)
