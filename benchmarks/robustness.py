@@ -13,6 +13,7 @@ import argparse
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import fast_simplification
 import numpy as np
@@ -29,7 +30,7 @@ from esd.mesh.shapes import subdivide
 from esd.spectral.cache import default_cache
 
 Alter = Callable[[Mesh], Mesh]
-"""The altered mesh; its correspondence follows from the nearest vertices, or stays if as many."""
+"""The altered mesh."""
 
 
 def rotated(mesh: Mesh) -> Mesh:
@@ -77,12 +78,12 @@ ALTERATIONS: dict[str, Alter] = {
 }
 
 
-def altered(shape: Shape, alter: Alter) -> Shape:
+def altered(shape: Shape, alter: Alter, *, other_vertices: bool) -> Shape:
+    """The shape with an altered mesh, whose points go to the nearest vertices if it has others."""
     mesh, index = shape.mesh(), shape.correspondence()
     made = alter(mesh)
-    if alter is rotated or len(made.vertices) == len(mesh.vertices):
-        nearest = np.arange(len(mesh.vertices))
-    else:
+    nearest = np.arange(len(mesh.vertices))
+    if other_vertices:
         _, nearest = cKDTree(made.vertices).query(mesh.vertices)
     moved = np.where(index >= 0, nearest[index], -1)
     return replace(
@@ -121,7 +122,10 @@ def main() -> None:
     pairs = every[:: max(1, len(every) // options.pairs)][: options.pairs]
     clean: dict[bool, float] = {}
     print("| target | nearest neighbour | to clean | refined | to clean |\n|---|--:|--:|--:|--:|")
-    changes = {name: lambda s, a=alter: altered(s, a) for name, alter in ALTERATIONS.items()}
+    changes = {
+        name: partial(altered, alter=alter, other_vertices=name.startswith("triangles"))
+        for name, alter in ALTERATIONS.items()
+    }
     for name, change in {**changes, "vertices shuffled": shuffled}.items():
         targets = {target.name: change(target) for _, target in pairs}
         cells = []
