@@ -1,7 +1,7 @@
 import json
-import re
 import logging
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
