@@ -85,3 +85,10 @@ def test_wrong_paths_are_refused(tmp_path):
         write_mesh(torus(4, 4), tmp_path / "m.abc")
     with pytest.raises(InputError, match="does not exist"):
         write_mesh(torus(4, 4), tmp_path / "no" / "m.off")
+
+
+def test_obj_vertices_without_three_coordinates_are_refused(tmp_path):
+    path = tmp_path / "cut.obj"
+    path.write_text("v 0 0\n")
+    with pytest.raises(InputError, match="fewer than three coordinates"):
+        read_mesh(path)

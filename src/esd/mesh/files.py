@@ -240,6 +240,8 @@ def _read_obj(path: Path) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
     positions = [line.split()[1:4] for line in lines if line.startswith(("v ", "v\t"))]
     if not positions:
         raise InputError("there are no vertices in it.")
+    if any(len(position) < 3 for position in positions):
+        raise InputError("a vertex has fewer than three coordinates; is the file cut short?")
     vertices = np.loadtxt(io.StringIO("\n".join(map(" ".join, positions))), ndmin=2)
     triangles: list[tuple[int, int, int]] = []
     face_count = 0
