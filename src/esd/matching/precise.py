@@ -2,45 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from esd.common import FloatArray, InputError, IntArray
-from esd.mesh.mesh import Mesh
+from esd.matching.transfer import Places
 
 _CHUNK = 2**24  # numbers at a time
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PreciseMap:
-    """For each vertex of a source shape a point of a target shape.
-
-    Parameters
-    ----------
-    face : (n,)
-        Face of the target; -1 for none.
-    barycentric : (n, 3)
-        Barycentric coordinates of the point in that face; NaN for none.
-    """
-
-    face: IntArray
-    barycentric: FloatArray
-
-    def carried(self, target: Mesh, values: FloatArray) -> FloatArray:
-        """Values at the source's vertices, (n, …), of values at the target's, (m, …); NaN for none.
-
-        With `target.vertices` for values, where the points are.
-        """
-        corners = np.asarray(values, dtype=float)[target.faces[self.face]]
-        return np.einsum("nc,nc...->n...", self.barycentric, corners)
-
-
 def precise_map(
     source: FloatArray, target: FloatArray, faces: IntArray, target_index: IntArray
-) -> PreciseMap:
+) -> Places:
     """The point of the target's faces that is nearest to each row of the source.
 
+    `carried_values(values, target, places)` are then the target's values at the source's vertices.
     Rows are interpolated linearly over faces; those at the matched vertex are searched.
 
     Parameters
@@ -83,7 +58,7 @@ def precise_map(
         order = np.lexsort((squared, np.repeat(np.arange(len(rows)), some)))
         best = order[begin]  # the first of each vertex has the smallest distance
         face[rows], barycentric[rows] = which[best], weights[best]
-    return PreciseMap(face, barycentric)
+    return Places(face, barycentric)
 
 
 def _nearest_in_triangles(
