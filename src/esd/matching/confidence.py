@@ -9,7 +9,7 @@ import numpy as np
 from scipy import sparse
 
 from esd.common import FloatArray, IntArray
-from esd.mesh.mesh import Mesh, edges, surface_area, vertex_normals
+from esd.mesh.mesh import Mesh, edges, face_areas, surface_area, vertex_normals
 
 Verdict: TypeAlias = Literal["good", "doubtful", "failed", "mirrored"]
 
@@ -109,10 +109,7 @@ def orientation(source: Mesh, target: Mesh, target_index: IntArray) -> float:
     image = target_index[source.faces]
     a, b, c = (target.vertices[image[:, corner]] for corner in range(3))
     turn = np.einsum("ij,ij->i", np.cross(b - a, c - a), vertex_normals(target)[image].sum(axis=1))
-    corners = source.vertices[source.faces]
-    area = np.linalg.norm(
-        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
-    )
+    area = face_areas(source)
     told = (image >= 0).all(axis=1) & (turn != 0)
     return float(area[told] @ np.sign(turn[told]) / max(area[told].sum(), np.finfo(float).tiny))
 
