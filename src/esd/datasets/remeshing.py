@@ -114,11 +114,7 @@ def _remeshed(made: _Remeshing) -> tuple[Mesh, IntArray]:
         return {"vertices": new.mesh.vertices, "faces": new.mesh.faces, "nearest": new.nearest}
 
     store = default_cache()
-    if store is None:
-        arrays = compute()
-    else:
-        parameters = {"count": made.vertex_count, "style": str(made.style), "seed": made.seed}
-        arrays = store.computed(
-            content_key("remeshed", old.vertices, old.faces, **parameters), compute
-        )
+    parameters = {"count": made.vertex_count, "style": str(made.style), "seed": made.seed}
+    key = content_key("remeshed", old.vertices, old.faces, **parameters)
+    arrays = compute() if store is None else store.computed(key, compute)
     return Mesh(arrays["vertices"], arrays["faces"]), arrays["nearest"]
