@@ -165,32 +165,42 @@ def spectrum_descriptors(recipe: Recipe, shape: Mesh | PointCloud, pairs: Spectr
     InputError
         If the recipe has chirality, and the mesh no outside or the points no faces.
     """
-    columns = [_values(part, shape, pairs) for part in recipe.descriptors]
+    products = [part for part in recipe.descriptors if part.kind in _PRODUCTS]
+    if products and isinstance(shape, PointCloud):
+        raise InputError(
+            f"Points have no faces, which '{products[0].kind}' needs; take hks, wks or gps, or a "
+            "model of these."
+        )
+    outward = turned_outward(shape) if products and isinstance(shape, Mesh) else None
+    factors = {
+        of: _values(Descriptor(of, _WIDTHS[of], log=True), pairs)
+        for of in {part.options["of"] for part in products}
+    }
+    columns = [
+        _gradient_values(part, outward, pairs, factors[part.options["of"]])
+        if outward and part.kind in _PRODUCTS
+        else _values(part, pairs)
+        for part in recipe.descriptors
+    ]
     values = np.concatenate(columns, axis=1)
     values[pairs.mass == 0] = np.nan
     return values
 
 
-def _values(part: Descriptor, shape: Mesh | PointCloud, pairs: Spectrum) -> FloatArray:
-    if part.kind in _PRODUCTS:
-        if isinstance(shape, PointCloud):
-            raise InputError(
-                f"Points have no faces, which '{part.kind}' needs; take hks, wks or gps, or a "
-                "model of these."
-            )
-        return _gradient_values(part, shape, pairs)
+def _values(part: Descriptor, pairs: Spectrum) -> FloatArray:
     compute: Any = _DESCRIPTORS[part.kind]
     values: FloatArray = compute(pairs, count=part.count, **part.options)
     return np.log(np.maximum(values, np.finfo(float).tiny)) if part.log else values
 
 
-def _gradient_values(part: Descriptor, mesh: Mesh, pairs: Spectrum) -> FloatArray:
-    of, columns = part.options["of"], part.options["columns"]
-    base = _values(Descriptor(of, _WIDTHS[of], log=True), mesh, pairs)[:, columns]
+def _gradient_values(
+    part: Descriptor, mesh: Mesh, pairs: Spectrum, factors: FloatArray
+) -> FloatArray:
+    columns = part.options["columns"]
     return gradient_products(
-        turned_outward(mesh),
+        mesh,
         pairs,
-        base,
+        factors[:, columns],
         pairs=neighbour_pairs(len(columns), reach=part.options["reach"]),
         times=np.asarray(part.options["times"]),
         parity=_PRODUCTS[part.kind],
