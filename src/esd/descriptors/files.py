@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from esd.common import FloatArray, InputError, whole_file
+from esd.mesh.fields import write_values
 
 _SUFFIXES = (".npy", ".npz", ".h5", ".csv")
 
@@ -34,11 +35,8 @@ def save_descriptor(values: FloatArray, path: str | os.PathLike[str]) -> None:
 
         with whole_file(path) as temporary, h5py.File(temporary, "w") as store:
             store["descriptors"] = values
-        return
-    with whole_file(path) as temporary, temporary.open("wb") as file:
-        if path.suffix.lower() == ".npy":
-            np.save(file, values, allow_pickle=False)
-        elif path.suffix.lower() == ".npz":
+    elif path.suffix.lower() == ".npz":
+        with whole_file(path) as temporary, temporary.open("wb") as file:
             np.savez(file, descriptors=values)
-        else:
-            np.savetxt(file, values, delimiter=",", fmt="%.9g")
+    else:
+        write_values(values, path)
