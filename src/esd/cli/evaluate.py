@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from esd.cli.match import ModelOption
+from esd.cli.match import ModelOption, RefineOption, RejectOption
 from esd.cli.output import tell
 from esd.cli.train import DatasetArgument
 
@@ -28,17 +28,8 @@ def evaluate(
             "or among those that the data set keeps for testing.",
         ),
     ] = None,
-    refine: Annotated[
-        bool | None,
-        typer.Option(
-            "--refine/--no-refine",
-            help="Refine by ZoomOut; by default if MODEL tells left from right.",
-            show_default=False,
-        ),
-    ] = None,
-    reject: Annotated[
-        bool, typer.Option("--reject", help="Drop matches beyond the model's threshold, C / 2.")
-    ] = False,
+    refine: RefineOption = None,
+    reject: RejectOption = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
 ) -> None:
     """Measure how far a model's maps are from the known correspondences of DATASET.

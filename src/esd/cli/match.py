@@ -22,6 +22,17 @@ ModelOption = Annotated[
         "--model", "-m", metavar="MODEL", help="A model folder, a bundled name, or hks, wks, gps."
     ),
 ]
+RefineOption = Annotated[
+    bool | None,
+    typer.Option(
+        "--refine/--no-refine",
+        help="Refine by ZoomOut; by default if MODEL tells left from right.",
+        show_default=False,
+    ),
+]
+RejectOption = Annotated[
+    bool, typer.Option("--reject", help="Drop matches beyond the model's threshold, C / 2.")
+]
 
 
 def match(
@@ -42,17 +53,8 @@ def match(
         ),
     ] = None,
     model: ModelOption = "default",
-    refine: Annotated[
-        bool | None,
-        typer.Option(
-            "--refine/--no-refine",
-            help="Refine by ZoomOut; by default if MODEL tells left from right.",
-            show_default=False,
-        ),
-    ] = None,
-    reject: Annotated[
-        bool, typer.Option("--reject", help="Drop matches beyond the model's threshold, C / 2.")
-    ] = False,
+    refine: RefineOption = None,
+    reject: RejectOption = False,
     one_to_one: Annotated[
         bool,
         typer.Option("--one-to-one", help="Match no target vertex twice; some source ones not."),
@@ -83,8 +85,6 @@ def match(
     """
     import time
 
-    import numpy as np
-
     from esd.learning.model import load_model
     from esd.matching.correspondence import check_map_path, save_map
     from esd.matching.match import match as match_meshes
@@ -113,13 +113,12 @@ def match(
         result = result.rejecting(loaded.threshold())
     save_map(result, path)
     matched, judged = result.is_matched(), result.judgement
-    targets = np.unique(result.target_index[matched])
     summary = {
         "model": loaded.name,
         "source_vertices": len(shapes[0].vertex_index),
         "target_vertices": len(shapes[1].vertex_index),
         "matched": int(matched.sum()),
-        "coverage": len(targets) / len(shapes[1].vertex_index),
+        "coverage": result.coverage(len(shapes[1].vertex_index)),
         "mean_confidence": float(result.confidence[matched].mean()) if matched.any() else 0.0,
         "source_findings": shapes[0].in_a_line(),
         "target_findings": shapes[1].in_a_line(),

@@ -220,11 +220,11 @@ def _match(
         one_to_one=one_to_one,
     ).rejecting(threshold)
     save_map(found, pair.output)
-    matched, judged = found.is_matched(), found.judgement
+    judged = found.judgement
     return MatchedPair(
         pair,
-        int(matched.sum()),
-        len(np.unique(found.target_index[matched])) / len(shapes[1].vertex_index),
+        int(found.is_matched().sum()),
+        found.coverage(len(shapes[1].vertex_index)),
         judged.verdict if judged else None,
         judged.expected_accuracy if judged else None,
     )

@@ -64,6 +64,10 @@ class Correspondence:
         """Whether each source vertex has a target vertex, (n,)."""
         return self.target_index >= 0
 
+    def coverage(self, target_count: int) -> float:
+        """Share of the target's vertices, of which there are so many, that are matched."""
+        return len(np.unique(self.target_index[self.is_matched()])) / target_count
+
     def _repr_html_(self) -> str:
         """A table and a histogram of the confidence, for notebooks."""
         matched = self.is_matched()
