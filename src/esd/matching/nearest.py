@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from scipy.spatial import KDTree
 
 from esd.common import FloatArray, InputError, IntArray
 
 _TREE_WIDTH = 20  # beyond this dimension a tree visits nearly everything
-_CHUNK_BYTES = 2**27
+_CHUNK_BYTES = 2**26
+_CHUNK_ROWS = 256  # at least, below which products of matrices become slow
 
 
 def nearest(source: FloatArray, target: FloatArray) -> tuple[IntArray, FloatArray]:
@@ -45,13 +48,11 @@ def _by_products(source: FloatArray, target: FloatArray) -> tuple[IntArray, Floa
     centre = target.mean(axis=0)
     source, target = source - centre, target - centre
     half_squares = np.einsum("ij,ij->i", target, target) / 2
-    rows = max(1, _CHUNK_BYTES // (8 * len(target)))
-    index = np.concatenate(
-        [
-            np.argmin(half_squares - source[start : start + rows] @ target.T, axis=1)
-            for start in range(0, max(len(source), 1), rows)
-        ]
-    )
+    index = np.empty(len(source), dtype=np.int64)
+    for part in _parts(len(source), len(target)):
+        products = source[part] @ target.T
+        np.subtract(half_squares, products, out=products)
+        index[part] = products.argmin(axis=1)
     return index, np.linalg.norm(source - target[index], axis=1)
 
 
@@ -65,10 +66,14 @@ def nearest_candidates(
     centre = target.mean(axis=0)
     source, target = source - centre, target - centre
     squares = np.einsum("ij,ij->i", target, target)
-    rows = max(1, _CHUNK_BYTES // (8 * len(target)))
     index = np.empty((len(source), count), dtype=np.int64)
-    for start in range(0, len(source), rows):
-        part = slice(start, start + rows)
+    for part in _parts(len(source), len(target)):
         index[part] = np.argpartition(squares - 2 * source[part] @ target.T, count - 1)[:, :count]
     gap = source[:, None] - target[index]
     return np.einsum("ikd,ikd->ik", gap, gap), index
+
+
+def _parts(count: int, width: int) -> Iterator[slice]:
+    """Parts of a number of rows, such that a matrix of this width has a bounded size."""
+    rows = max(_CHUNK_ROWS, _CHUNK_BYTES // (8 * width))
+    return (slice(start, start + rows) for start in range(0, count, rows))
