@@ -1,9 +1,11 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from esd.common import InputError
+from esd.descriptors.geometry import cubic_spline, geometry_vector
 from esd.descriptors.gps import gps
 from esd.descriptors.hks import heat_times, hks
 from esd.descriptors.recipe import Descriptor, Recipe, descriptors, single_recipe
@@ -12,7 +14,7 @@ from esd.descriptors.sihks import sihks
 from esd.descriptors.wks import wave_energies, wks
 from esd.mesh.mesh import Mesh
 from esd.mesh.shapes import icosphere
-from esd.spectral.spectrum import spectrum
+from esd.spectral.spectrum import Spectrum, spectrum
 
 
 @pytest.fixture
@@ -128,3 +130,33 @@ def test_impossible_descriptors_are_refused(pairs):
         wks(pairs, count=20, variant="pokrass")
     with pytest.raises(InputError, match="1 to 47 frequencies"):
         sihks(pairs, count=48)
+
+
+def test_splines_add_up_to_one_between_their_ends():
+    x = np.linspace(-3, 3, 601)
+    total = sum(cubic_spline(x - i) for i in range(-6, 7))
+    np.testing.assert_allclose(total, 1, atol=1e-12)
+    assert cubic_spline(np.array([0.0, 1, -1, 2, 5])) == pytest.approx([2 / 3, 1 / 6, 1 / 6, 0, 0])
+
+
+def test_a_geometry_vector_holds_the_squared_eigenvectors_by_frequency():
+    vectors = np.array([[1.0, 2.0], [1.0, -1.0], [1.0, 0.0]])
+    pairs = Spectrum(np.array([0.0, 5.0]), vectors, np.ones(3) / 3, 1)
+    values = geometry_vector(pairs, count=11, largest=10.0)
+    expected = np.zeros((3, 11))
+    expected[:, :2] = [4, 1]  # the constant mode, of frequency zero
+    expected[:, 4:7] = vectors[:, 1:] ** 2 * [1, 4, 1]
+    expected /= np.linalg.norm(expected, axis=1, keepdims=True)
+    np.testing.assert_allclose(values, expected, atol=1e-12)
+
+
+def test_geometry_vectors_know_no_signs_and_no_scale(pairs):
+    signs = np.where(np.arange(60) % 3, 1, -1)
+    values = geometry_vector(pairs)
+    other = replace(pairs, eigenvectors=pairs.eigenvectors * signs).with_area(7.0)
+    np.testing.assert_allclose(geometry_vector(other), values, rtol=1e-9, atol=1e-12)
+    # by Weyl's law, the last knot lies near the last eigenvalue of any shape
+    assert 0.6 < 0.99 * 4 * np.pi * 59 / pairs.eigenvalues[-1] < 1.5
+    for arguments in ({"count": 1}, {"largest": 0.0}):
+        with pytest.raises(InputError, match="two components or more and a positive `largest`"):
+            geometry_vector(pairs, **arguments)

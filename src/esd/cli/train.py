@@ -24,7 +24,10 @@ def train(
     output: Annotated[
         Path, typer.Option("--output", "-o", metavar="MODEL", help="Folder to write the model to.")
     ],
-    preset: Annotated[str, typer.Option(help="oriented, paper-hks, paper-wks or paper-gps.")],
+    preset: Annotated[
+        str,
+        typer.Option(help="oriented, paper-hks, paper-wks, paper-gps, osd or osd-geometry."),
+    ],
     include: Annotated[
         str | None, typer.Option(metavar="GLOB", help="Only shapes with such names.")
     ] = None,
@@ -53,9 +56,9 @@ def train(
     from esd.common import InputError
     from esd.datasets.open import open_collection
     from esd.datasets.splits import split_by_subject
+    from esd.learning.fit import fit
     from esd.learning.model import check_model_destination, save_model
     from esd.learning.presets import preset as named_preset
-    from esd.learning.train import train as train_model
     from esd.spectral.cache import default_cache
 
     training = replace(named_preset(preset), standardise=standardise)
@@ -87,7 +90,7 @@ def train(
             went(step - done)
             done = step
 
-        model = train_model(
+        model = fit(
             chosen,
             training,
             name=output.name,

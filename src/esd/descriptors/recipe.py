@@ -10,6 +10,7 @@ import numpy as np
 
 from esd.common import FloatArray, InputError
 from esd.descriptors.chirality import Parity, gradient_products, neighbour_pairs
+from esd.descriptors.geometry import geometry_vector
 from esd.descriptors.gps import gps
 from esd.descriptors.hks import hks
 from esd.descriptors.sihks import sihks
@@ -20,9 +21,9 @@ from esd.spectral.cache import Cache
 from esd.spectral.laplacian import LaplacianKind
 from esd.spectral.spectrum import Spectrum, spectrum
 
-_DESCRIPTORS = {"gps": gps, "hks": hks, "wks": wks, "sihks": sihks}
+_DESCRIPTORS = {"gps": gps, "hks": hks, "wks": wks, "sihks": sihks, "geometry": geometry_vector}
 _PRODUCTS: dict[str, Parity] = {"chirality": "odd", "alignment": "even"}
-_WIDTHS = {"gps": 25, "hks": 100, "wks": 100, "sihks": 19}
+_WIDTHS = {"gps": 25, "hks": 100, "wks": 100, "sihks": 19, "geometry": 150}
 
 DESCRIPTOR_KINDS = tuple(_DESCRIPTORS)
 """Names of the descriptors that have a value at each vertex and stand for themselves."""

@@ -11,6 +11,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from esd.datasets.collection import Collection
+from esd.learning.fit import fit
 from esd.learning.model import Model, load_model, save_model
 from esd.learning.pairs import PointTable, point_table
 from esd.learning.presets import PRESETS, Training
@@ -84,8 +85,6 @@ def shortened(training: Training, steps: int) -> Training:
 
 def trained(setting: Setting, name: str, training: Training) -> Model:
     """A model trained on the shapes to train on, kept in the folder and trained only once."""
-    from esd.learning.train import train  # which needs torch
-
     key = content_key(
         name, data=fingerprint(setting.training), training=asdict(training), seed=setting.seed
     )[: len(name) + 13]
@@ -101,7 +100,7 @@ def trained(setting: Setting, name: str, training: Training) -> Model:
             went(step - done)
             done = step
 
-        model = train(
+        model = fit(
             setting.training,
             training,
             name=name,

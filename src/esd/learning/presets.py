@@ -29,14 +29,15 @@ class Training:
         Share of the descriptors of each point that are set to zero, their mean, in each step, so
         that the embedding does not depend on a few.
     loss
-        `contrastive`, the paper's, or `infonce`, of embeddings of unit length.
+        `contrastive`, the paper's, or `infonce`, of embeddings of unit length; or `osd`, which
+        stands for a linear map in closed form, see `esd.baselines.osd`.
     margin, soft_label
         Of the contrastive loss: C, in squared units of the embedding, and the largest label of a
         pair that does not correspond.
     temperature
         Of InfoNCE.
     batch
-        Pairs in a step. Half of them correspond for the contrastive loss, all for InfoNCE.
+        Pairs in a step. All of them correspond for InfoNCE, else half.
     learning_rate
         Of Adam, at the first step.
     schedule
@@ -44,7 +45,7 @@ class Training:
     decay
         Factor on the learning rate after each step, if exponential.
     steps
-        Number of steps.
+        Number of steps; for `osd`, of batches of pairs that it is computed from.
     remeshings
         Copies of each training shape with other triangles, from coarse to dense, that are trained
         on as well, so that the embedding does not depend on triangles.
@@ -58,7 +59,7 @@ class Training:
     standardise: bool = True
     limit: float | None = None
     dropout: float = 0.0
-    loss: Literal["contrastive", "infonce"] = "contrastive"
+    loss: Literal["contrastive", "infonce", "osd"] = "contrastive"
     margin: float = 5.0
     soft_label: float = 0.2
     temperature: float = 0.07
@@ -86,6 +87,10 @@ def _oriented_recipe() -> Recipe:
     return Recipe((Descriptor("hks", 100, log=True), Descriptor("wks", 100, log=True), *products))
 
 
+def _osd(kind: str) -> Training:
+    return Training(single_recipe(kind), hidden=(), outputs=16, loss="osd", steps=400)
+
+
 PRESETS = {
     "oriented": Training(
         _oriented_recipe(),
@@ -103,8 +108,12 @@ PRESETS = {
     "paper-hks": Training(single_recipe("hks"), hidden=(78, 32)),
     "paper-wks": Training(single_recipe("wks"), hidden=(78, 32)),
     "paper-gps": Training(single_recipe("gps"), hidden=(20, 18)),
+    "osd": _osd("hks"),
+    "osd-geometry": _osd("geometry"),
 }
-"""`oriented`, which tells left from right, and the networks of the paper (sections 3.4 and 3.5).
+"""`oriented`, which tells left from right; the networks of the paper (sections 3.4 and 3.5); and
+what it compares them with: optimal spectral descriptors of HKS, as there, and of the geometry
+vector, as their authors have them.
 
 The paper leaves the number of steps open.
 """

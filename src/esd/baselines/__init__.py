@@ -1,0 +1,1 @@
+"""Descriptors by others, which the embeddings of the paper are compared with."""

@@ -1,0 +1,121 @@
+import json
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from esd.baselines.osd import optimal_metric, with_knots
+from esd.common import InputError
+from esd.datasets.collection import Collection, Shape
+from esd.descriptors.recipe import Descriptor, Recipe, recipe_spectrum, single_recipe
+from esd.learning.fit import fit
+from esd.learning.model import load_model, save_model
+from esd.learning.presets import PRESETS
+from esd.mesh.mesh import Mesh
+
+OSD = replace(
+    PRESETS["osd"], recipe=Recipe((Descriptor("hks", 12),), eigenpairs=20), outputs=4, steps=20
+)
+
+
+@pytest.fixture
+def collection(blob):
+    def copy(i):
+        bend = np.sin(np.arange(3) + blob.vertices[:, [1, 2, 0]] * (1 + 0.3 * i))
+        return Mesh(blob.vertices + 0.1 * i * bend, blob.faces)
+
+    index = np.arange(len(blob.vertices))
+    shapes = [Shape(f"c{i}", f"s{i}", "t", lambda i=i: copy(i), lambda: index) for i in range(4)]
+    return Collection("copies", tuple(shapes))
+
+
+def gaussians(near, far, count=200_000):
+    generator = np.random.default_rng(0)
+    return tuple(
+        generator.standard_normal((count, len(c))) @ np.linalg.cholesky(c).T for c in (near, far)
+    )
+
+
+def test_the_metric_of_independent_gaussians_is_known():
+    # in units of its spread within a class, each axis on its own, the most telling first
+    near, far = np.diag([4.0, 1.0, 0.25]), np.diag([8.0, 9.0, 1.0])
+    metric = optimal_metric(*gaussians(near, far), 2, ridge=0)
+    expected = [[0, 1, 0], [0, 0, 2]]
+    np.testing.assert_allclose(np.abs(metric), expected, atol=0.02)  # 200,000 samples
+
+
+def test_the_metric_is_what_it_says_whatever_the_axes():
+    generator = np.random.default_rng(1)
+    mixing = generator.standard_normal((5, 5))
+    differences = gaussians(np.eye(5), mixing @ mixing.T + np.eye(5), count=1000)
+    near, far = (d.T @ d / len(d) for d in differences)
+    metric = optimal_metric(*differences, 3, ridge=0)
+    np.testing.assert_allclose(metric @ near @ metric.T, np.eye(3), atol=1e-10)
+    spread = metric @ far @ metric.T  # 1 / μ, the largest first, without correlation
+    best = np.sort(np.linalg.eigvals(np.linalg.solve(near, far)).real)[::-1]
+    np.testing.assert_allclose(spread, np.diag(best[:3]), atol=1e-9 * best[0])
+    # other coordinates of the descriptors give the same distances
+    turned = optimal_metric(*(d @ mixing for d in differences), 3, ridge=0)
+    np.testing.assert_allclose(np.abs(turned @ mixing.T), np.abs(metric), rtol=1e-6)
+
+
+def test_directions_without_difference_come_last():
+    differences = [np.pad(d, ((0, 0), (0, 1))) for d in gaussians(np.eye(2), 9 * np.eye(2))]
+    metric = optimal_metric(*differences, 2)
+    assert np.abs(metric[:, 2]).max() < 1e-6
+
+
+def test_more_outputs_than_descriptors_are_refused():
+    with pytest.raises(InputError, match=r"`outputs` must be from 1 to 3, the descriptors; got 4"):
+        optimal_metric(np.eye(3), np.eye(3), 4)
+
+
+def test_knots_end_at_the_99th_percentile_of_the_eigenvalues(collection):
+    recipe = Recipe((Descriptor("hks", 3), Descriptor("geometry", 10)), eigenpairs=20)
+    found = with_knots(recipe, collection)
+    values = [recipe_spectrum(recipe, shape.mesh()).eigenvalues for shape in collection.shapes]
+    assert found.descriptors[0] == recipe.descriptors[0]
+    assert found.descriptors[1].options == {"largest": np.percentile(values, 99)}
+    assert with_knots(found, collection) is found
+    assert Recipe.from_json(json.loads(json.dumps(found.to_json()))) == found
+
+
+@pytest.mark.parametrize("kind", ["hks", "geometry"])
+def test_a_fitted_model_separates_unseen_subjects_and_survives_the_disk(collection, tmp_path, kind):
+    training = replace(OSD, recipe=Recipe((Descriptor(kind, 12),), eigenpairs=20))
+    seen, unseen = collection.of_subjects(["s0", "s1", "s2"]), collection.of_subjects(["s3", "s2"])
+    model = fit(seen, training, validation=unseen, seed=1)
+    assert model.card["separation"] > 3
+    assert model.card["validation_separation"] > 3
+    assert ("largest" in model.recipe.descriptors[0].options) == (kind == "geometry")
+    save_model(model, tmp_path / "m")
+    mesh = unseen.shapes[0].mesh()
+    embedded = model.embed_mesh(mesh)
+    assert embedded.shape == (len(mesh.vertices), 4)
+    np.testing.assert_array_equal(load_model(tmp_path / "m").embed_mesh(mesh), embedded)
+    again = fit(seen, training, seed=1)
+    np.testing.assert_array_equal(again.layers[0].weight, model.layers[0].weight)
+
+
+def test_the_presets_are_those_of_the_paper_and_of_the_authors():
+    assert PRESETS["osd"].recipe == single_recipe("hks")
+    geometry = PRESETS["osd-geometry"]
+    assert (geometry.recipe.eigenpairs, geometry.recipe.width, geometry.outputs) == (300, 150, 16)
+
+
+def test_osd_needs_no_torch():
+    code = (
+        "import sys; sys.modules['torch'] = None\n"
+        "from esd.datasets.bodies import bodies\n"
+        "from esd.descriptors.recipe import Descriptor, Recipe\n"
+        "from dataclasses import replace\n"
+        "from esd.learning.fit import fit\n"
+        "from esd.learning.presets import PRESETS\n"
+        "some = bodies(remeshed=False).including('s00_p0[01]')\n"
+        "recipe = Recipe((Descriptor('hks', 12),), eigenpairs=20)\n"
+        "fit(some, replace(PRESETS['osd'], recipe=recipe, outputs=4, steps=2))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
