@@ -82,12 +82,33 @@ def test_from_training_to_a_map_and_its_error(shapes, tmp_path):
     assert "hks (raw descriptor)" in run("model", "list").stdout
 
 
+def test_several_models_are_compared_in_one_figure(shapes, tmp_path):
+    model, plot = tmp_path / "metric", tmp_path / "curves.png"
+    done = run("train", shapes, "-o", model, "--preset", "osd", "--include", "*[0-2]0")
+    assert "trained 400 steps on 3 shapes" in done.stdout
+    arguments = ("evaluate", shapes, "--include", "*[23]0", "-m", model, "-m", "hks")
+    found = json.loads(run(*arguments, "--plot", plot, "--json").stdout)
+    assert list(found) == ["models"]
+    assert [each["model"] for each in found["models"]] == ["metric", "hks"]
+    alone = json.loads(run(*arguments[:4], "-m", "hks", "--json").stdout)
+    for key in ("data", "pairs", "auc", "mean_geodesic_error_x100"):
+        assert alone[key] == found["models"][1][key]
+    assert plot.stat().st_size > 10_000
+    lines = run(*arguments, "--plot", plot, "--force").stdout.splitlines()
+    assert lines[1].split() == ["model", "metric", "hks"]
+    assert lines[-1] == f"drawn to {plot}"
+    assert "--force" in run(*arguments, "--plot", plot, expect=1).stderr
+    assert ".png, .pdf or .svg" in run(*arguments, "--plot", tmp_path / "a.txt", expect=1).stderr
+    missing = run(*arguments, "--plot", tmp_path / "no" / "a.png", expect=1).stderr
+    assert "does not exist; create it first" in missing
+
+
 def test_spectrum_descriptor_and_cache(shapes, tmp_path):
     mesh = shapes / "tr_reg_000.off"
     run("spectrum", mesh, "-k", 20, "-o", tmp_path / "s.npz")
     with np.load(tmp_path / "s.npz", allow_pickle=False) as file:
         assert file["eigenvalues"].shape == (20,)
-    for kind, width in (("hks", 100), ("wks", 100), ("gps", 25), ("sihks", 19)):
+    for kind, width in (("hks", 100), ("gps", 25), ("sihks", 19), ("geometry", 150)):
         run("descriptor", mesh, "--kind", kind, "-o", tmp_path / f"{kind}.npy")
         assert np.load(tmp_path / f"{kind}.npy").shape == (384, width)
     run("descriptor", mesh, "-o", tmp_path / "d.csv")

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from esd.common import InputError
+from esd.evaluation.protocol import PairErrors
 from esd.matching.correspondence import Correspondence
 from esd.mesh.shapes import icosphere
 
@@ -55,6 +56,28 @@ def test_curves_end_at_the_share_within_reach():
     assert len({line.get_color() for line in figure.axes[0].lines}) == 2
 
 
+def test_curves_of_models_are_means_over_pairs_with_both_normalisers():
+    ends = {"square_root_area": 1.0, "diameter": 2.0, "coverage": 1.0, "symmetric_errors": None}
+    pairs = [
+        PairErrors("a", "b", np.array([0.0, 0.1]), **ends),
+        PairErrors("b", "a", np.array([0.3, 0.3, 0.5, np.nan]), **ends),
+    ]
+    figure = figures.errors_figure({"m": pairs, "n": pairs[:1]})
+    assert [axes.get_xlabel() for axes in figure.axes] == [
+        "geodesic error / √area",
+        "geodesic error / geodesic diameter",
+    ]
+    left, right = ([line.get_ydata() for line in axes.lines] for axes in figure.axes)
+    assert (left[0][-1], right[0][-1]) == (50, 75)  # means of 100 and 0, and of 100 and 50
+    assert right[1][50] == 100  # 0.1 is within 0.05 of the diameter
+    labels = [line.get_label() for axes in figure.axes for line in axes.lines]
+    assert labels == ["m (AUC 0.400)", "n (AUC 0.800)", "m (AUC 0.500)", "n (AUC 0.875)"]
+    for axes, curves in zip(figure.axes, (left, right), strict=True):
+        for line, curve in zip(axes.lines, curves, strict=True):  # the area is that of the curve
+            area = float(line.get_label().split()[-1][:-1])
+            assert curve.mean() / 100 == pytest.approx(area, abs=0.01)  # 201 radii
+
+
 def test_what_cannot_be_drawn_is_refused():
     sphere = icosphere(1)
     with pytest.raises(InputError, match="`up` must be 'y' or 'z'; got 'x'"):
@@ -65,3 +88,5 @@ def test_what_cannot_be_drawn_is_refused():
         figures.values_figure(sphere, {"a": np.zeros(3)})
     with pytest.raises(InputError, match="no errors to draw"):
         figures.curves_figure({})
+    with pytest.raises(InputError, match="no errors to draw"):
+        figures.errors_figure({})

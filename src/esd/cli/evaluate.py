@@ -8,14 +8,22 @@ from typing import Annotated
 
 import typer
 
-from esd.cli.match import ModelOption, RefineOption, RejectOption
-from esd.cli.output import tell
+from esd.cli.match import RefineOption, RejectOption
+from esd.cli.output import ForceOption, free_path, tell
 from esd.cli.train import DatasetArgument
 
 
 def evaluate(
     dataset: DatasetArgument,
-    model: ModelOption = "default",
+    model: Annotated[
+        list[str],
+        typer.Option(
+            "--model",
+            "-m",
+            metavar="MODEL",
+            help="A model folder, a bundled name, or hks, wks, gps; several times to compare.",
+        ),
+    ] = ["default"],  # noqa: B006
     pairs: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Lines of two shape names with a tab: source, target."),
@@ -30,9 +38,18 @@ def evaluate(
     ] = None,
     refine: RefineOption = None,
     reject: RejectOption = False,
+    plot: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Draw the share of points within an error, over √area and over the diameter, to "
+            "a .png, .pdf or .svg.",
+        ),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
+    force: ForceOption = False,
 ) -> None:
-    """Measure how far a model's maps are from the known correspondences of DATASET.
+    """Measure how far the maps of models are from the known correspondences of DATASET.
 
     Without --pairs or --include, all pairs of different subjects are mapped, of 'bodies' only
     those of the subjects kept for testing.
@@ -50,7 +67,12 @@ def evaluate(
 
     if pairs and include:
         raise InputError("Give --pairs or --include, not both.")
-    loaded = load_model(model)
+    if plot:
+        # before the work, which can take long
+        from esd.viewing.figures import check_figure_path, errors_figure, save_figure
+
+        free_path(check_figure_path(plot), force=force)
+    models = [load_model(name) for name in dict.fromkeys(model)]
     collection = open_collection(dataset)
     if pairs:
         chosen = read_pairs(pairs, collection)
@@ -59,20 +81,35 @@ def evaluate(
     else:
         kept = collection.testing_subjects or collection.subjects
         chosen = collection.of_subjects(kept).pairs()
-    with progress("evaluating", len(chosen)) as went:
-        result, _ = evaluate_model(
-            loaded,
-            chosen,
-            refine=refine,
-            reject=reject,
-            processes=os.cpu_count() or 1,
-            cache=default_cache(),
-            on_pair=lambda: went(1),
-        )
-    figures = {key: value for key, value in asdict(result).items() if value is not None}
+    figures, errors = [], {}
+    with progress("evaluating", len(chosen) * len(models)) as went:
+        for name, loaded in zip(dict.fromkeys(model), models, strict=True):
+            result, found = evaluate_model(
+                loaded,
+                chosen,
+                refine=refine,
+                reject=reject,
+                processes=os.cpu_count() or 1,
+                cache=default_cache(),
+                on_pair=lambda: went(1),
+            )
+            measured = {key: value for key, value in asdict(result).items() if value is not None}
+            figures.append({"model": loaded.name, "data": collection.name, **measured})
+            alone = [other.name for other in models].count(loaded.name) == 1
+            errors[loaded.name if alone else name] = found
+    if plot:
+        save_figure(errors_figure(errors), plot)
     if as_json:
-        typer.echo(json.dumps({"model": loaded.name, "data": collection.name, **figures}))
+        typer.echo(json.dumps(figures[0] if len(figures) == 1 else {"models": figures}))
         return
-    tell(f"{loaded.name} on {collection.name}; errors over √area, means over pairs")
-    for key, value in figures.items():
-        tell(f"  {key:34} {value:.4g}" if isinstance(value, float) else f"  {key:34} {value}")
+    tell(f"on {collection.name}; errors over √area, means over pairs")
+    for key in figures[0]:
+        if key != "data":
+            cells = (figure.get(key, "") for figure in figures)
+            tell(f"  {key:34}" + "".join(f" {_text(cell):>12}" for cell in cells))
+    if plot:
+        tell(f"drawn to {plot}")
+
+
+def _text(value: object) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

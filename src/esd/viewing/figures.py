@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,8 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from esd.common import FloatArray, InputError, whole_file
-from esd.evaluation.errors import cumulative_curve
+from esd.evaluation.errors import area_under_curve, cumulative_curve
+from esd.evaluation.protocol import PairErrors
 from esd.matching.correspondence import Correspondence
 from esd.mesh.mesh import Mesh, face_normals
 from esd.viewing.colours import UNMATCHED, carried_colours, position_colours
@@ -127,16 +129,73 @@ def curves_figure(
     FigureCanvasAgg(figure)
     axes = figure.subplots()
     radii = np.linspace(0, largest, 201)
-    for i, (name, array) in enumerate(errors.items()):
+    draw_curves(
+        axes, radii, {name: cumulative_curve(array, radii) for name, array in errors.items()}
+    )
+    axes.set_xlabel(label)
+    return figure
+
+
+def errors_figure(errors: Mapping[str, Sequence[PairErrors]]) -> Figure:
+    """The curves of the Princeton protocol, means over pairs, with both usual normalisers.
+
+    Left over √area up to 0.25, right over the geodesic diameter up to 0.2. The legends name the
+    area under each curve as a share of its panel, left the `auc` of `Evaluation`.
+
+    Parameters
+    ----------
+    errors
+        Of `esd.evaluation.protocol.evaluate`, by the names of the models.
+
+    Raises
+    ------
+    InputError
+        If there are no errors.
+    """
+    if not errors:
+        raise InputError("There are no errors to draw.")
+    figure = Figure(figsize=(11, 4), layout="constrained")
+    FigureCanvasAgg(figure)
+    for axes, (title, largest, unit) in zip(figure.subplots(1, 2), _NORMALISERS, strict=True):
+        radii = np.linspace(0, largest, 201)
+        curves = {}
+        for name, pairs in errors.items():
+            scaled = [pair.errors / unit(pair) for pair in pairs]
+            area = np.mean([area_under_curve(error, largest=largest) for error in scaled])
+            mean = np.mean([cumulative_curve(error, radii) for error in scaled], axis=0)
+            curves[f"{name} (AUC {area:.3f})"] = mean
+        draw_curves(axes, radii, curves)
+        axes.set_xlabel(title)
+    return figure
+
+
+_NORMALISERS: tuple[tuple[str, float, Callable[[PairErrors], float]], ...] = (
+    ("geodesic error / √area", 0.25, lambda pair: pair.square_root_area),
+    ("geodesic error / geodesic diameter", 0.2, lambda pair: pair.diameter),
+)
+
+
+def draw_curves(axes: Any, radii: FloatArray, shares: Mapping[str, FloatArray]) -> None:
+    """Draw shares of points, (r,) each by name, over the radii within which they lie, (r,)."""
+    for i, (name, share) in enumerate(shares.items()):
         style: dict[str, Any] = {
             "color": _OKABE_ITO[i % len(_OKABE_ITO)],
             "linestyle": _DASHES[i % len(_DASHES)],
         }
-        axes.plot(radii, 100 * cumulative_curve(array, radii), label=name, **style)
-    axes.set(xlim=(0, largest), ylim=(0, 100), xlabel=label, ylabel="points (%)")
+        axes.plot(radii, 100 * share, label=name, **style)
+    axes.set(xlim=(0, radii[-1]), ylim=(0, 100), ylabel="points (%)")
     axes.grid(alpha=0.3)
     axes.legend(loc="lower right")
-    return figure
+
+
+def check_figure_path(path: str | os.PathLike[str]) -> Path:
+    """The path, if a figure can be written to it; raises an `InputError` otherwise."""
+    path = Path(path)
+    if path.suffix.lower() not in (".png", ".pdf", ".svg"):
+        raise InputError(f"'{path}': figures are written as .png, .pdf or .svg files.")
+    if not path.parent.is_dir():
+        raise InputError(f"The folder '{path.parent}' does not exist; create it first.")
+    return path
 
 
 def save_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
