@@ -34,10 +34,11 @@ def figures(model: Model, collection: Collection, *, refine: bool) -> str:
         processes=os.cpu_count() or 1,
         cache=default_cache(),
     )
+    symmetric = result.symmetric_mean_geodesic_error_x100
     return (
         f"{result.mean_geodesic_error_x100:.2f} mean geodesic error x 100 / √area, "
-        f"{result.symmetric_mean_geodesic_error_x100:.2f} up to left and right, "
-        f"{result.accuracy_5pct_diameter:.1%} within 5 % of the diameter ({result.pairs} pairs)"
+        + ("" if symmetric is None else f"{symmetric:.2f} up to left and right, ")
+        + f"{result.accuracy_5pct_diameter:.1%} within 5 % of the diameter ({result.pairs} pairs)"
     )
 
 
