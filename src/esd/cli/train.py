@@ -26,7 +26,9 @@ def train(
     ],
     preset: Annotated[
         str,
-        typer.Option(help="oriented, paper-hks, paper-wks, paper-gps, osd or osd-geometry."),
+        typer.Option(
+            help="oriented, paper-hks, paper-wks, paper-gps, osd, osd-geometry, gcnn or acnn."
+        ),
     ],
     include: Annotated[
         str | None, typer.Option(metavar="GLOB", help="Only shapes with such names.")

@@ -178,7 +178,7 @@ def _embedded(model: Model, shape: Shape, cache: Cache | None) -> _Embedded:
         symmetric = np.where(symmetric >= 0, repaired.vertex_index[symmetric], -1)
     try:
         pairs = recipe_spectrum(model.recipe, mesh, cache=cache)
-        values = model.embed_spectrum(mesh, pairs)
+        values = model.embed_spectrum(mesh, pairs, cache=cache)
     except InputError as error:
         raise InputError(f"'{shape.name}': {error}") from error
     return _Embedded(shape.name, mesh, pairs, values, index, symmetric)

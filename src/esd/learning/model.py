@@ -7,7 +7,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,8 @@ import numpy.typing as npt
 from safetensors import SafetensorError
 from safetensors.numpy import load_file, save
 
+from esd.baselines.gcnn import GeodesicPatches
+from esd.baselines.patches import Patches, convolution, patch_operator, patches_from_json
 from esd.common import FloatArray, InputError
 from esd.descriptors.recipe import (
     DESCRIPTOR_KINDS,
@@ -26,6 +28,7 @@ from esd.descriptors.recipe import (
 )
 from esd.mesh.mesh import Mesh, PointCloud
 from esd.spectral.cache import Cache
+from esd.spectral.laplacian import SparseMatrix
 from esd.spectral.spectrum import Spectrum
 
 _FORMAT = 1
@@ -37,7 +40,15 @@ _ALIASES = {"default": "oriented"}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Layer:
-    """A fully connected layer: weight (outputs, inputs) and bias (outputs,), float32."""
+    """A fully connected layer or a convolution, float32.
+
+    Parameters
+    ----------
+    weight
+        (outputs, inputs), or of a convolution (outputs, bins, bins, inputs), see
+        `esd.baselines.patches.convolution`.
+    bias : (outputs,)
+    """
 
     weight: npt.NDArray[np.float32]
     bias: npt.NDArray[np.float32]
@@ -64,6 +75,8 @@ class Model:
         no limit. It keeps a mesh unlike the training's from leading far astray.
     unit_length
         Whether the embedding lies on the unit sphere.
+    patches
+        Of the surface, over which convolutions go; None where no layer is one.
     card
         What it was trained on, how, and how it did: plain data.
     """
@@ -76,6 +89,7 @@ class Model:
     margin: float | None = None
     limit: float | None = None
     unit_length: bool = False
+    patches: Patches | None = None
     card: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -95,33 +109,56 @@ class Model:
             raise InputError(f"'{self.name}' has no margin, and so no threshold to reject by.")
         return self.margin / 2
 
-    def embed(self, values: FloatArray) -> FloatArray:
+    def embed(self, values: FloatArray, operator: SparseMatrix | None = None) -> FloatArray:
         """Embedding (n, outputs) float64 of descriptors (n, recipe.width).
+
+        Parameters
+        ----------
+        operator
+            The `patch_operator` of the shape whose vertices the descriptors are of, all of them,
+            for models with convolutions.
 
         Raises
         ------
         InputError
-            If the descriptors are not as wide as those of the recipe.
+            If the descriptors are not as wide as those of the recipe, or there is no operator
+            where one is needed.
         """
         if values.ndim != 2 or values.shape[1] != self.recipe.width:
             raise InputError(
                 f"The model takes descriptors of shape (n, {self.recipe.width}); "
                 f"got {values.shape}."
             )
+        if self.patches is not None and operator is None:
+            raise InputError(
+                f"'{self.name}' is convolutional: it embeds whole shapes, see `embed_mesh`."
+            )
         result = standardised(values, self.mean, self.deviation, limit=self.limit)
         for i, layer in enumerate(self.layers):
-            result = (np.maximum(result, 0) if i else result) @ layer.weight.T + layer.bias
+            result = np.maximum(result, 0) if i else result
+            if layer.weight.ndim == 2:
+                result = result @ layer.weight.T + layer.bias
+            else:
+                turned = isinstance(self.patches, GeodesicPatches)
+                result = convolution(operator, result, layer.weight, turned=turned) + layer.bias
         if self.unit_length:
             result /= np.linalg.norm(result, axis=1, keepdims=True)
         return result
 
     def embed_mesh(self, mesh: Mesh | PointCloud, *, cache: Cache | None = None) -> FloatArray:
         """Embedding (n, outputs) of the vertices of a mesh; NaN at vertices without a face."""
-        return self.embed_spectrum(mesh, recipe_spectrum(self.recipe, mesh, cache=cache))
+        return self.embed_spectrum(
+            mesh, recipe_spectrum(self.recipe, mesh, cache=cache), cache=cache
+        )
 
-    def embed_spectrum(self, mesh: Mesh | PointCloud, pairs: Spectrum) -> FloatArray:
+    def embed_spectrum(
+        self, mesh: Mesh | PointCloud, pairs: Spectrum, *, cache: Cache | None = None
+    ) -> FloatArray:
         """Embedding (n, outputs) of the vertices of a mesh, from its `recipe_spectrum`."""
-        return self.embed(spectrum_descriptors(self.recipe, mesh, pairs))
+        values = spectrum_descriptors(self.recipe, mesh, pairs)
+        if self.patches is None:
+            return self.embed(values)
+        return self.embed(values, patch_operator(self.patches, mesh, cache=cache))
 
 
 def standardised(
@@ -184,6 +221,7 @@ def load_model(model: str | os.PathLike[str]) -> Model:
             margin=config["margin"],
             limit=config.get("limit"),
             unit_length=config.get("unit_length", False),
+            patches=patches_from_json(config["patches"]) if config.get("patches") else None,
             card=config["card"],
         )
     except (KeyError, TypeError) as error:
@@ -209,6 +247,7 @@ def save_model(model: Model, folder: str | os.PathLike[str]) -> None:
         "margin": model.margin,
         "limit": model.limit,
         "unit_length": model.unit_length,
+        "patches": None if model.patches is None else asdict(model.patches),
         "card": dict(model.card),
     }
     arrays: dict[str, npt.NDArray[Any]] = {"mean": model.mean, "deviation": model.deviation}
@@ -272,7 +311,8 @@ def _check_fit(model: Model, widths: Sequence[int], folder: Path) -> None:
     expected = [(model.recipe.width,)] * 2
     found = [model.mean.shape, model.deviation.shape]
     for layer, inputs, outputs in zip(model.layers, widths[:-1], widths[1:], strict=True):
-        expected += [(outputs, inputs), (outputs,)]  # type: ignore[list-item]
+        bins = model.patches.bins if model.patches and layer.weight.ndim > 2 else ()
+        expected += [(outputs, *bins, inputs), (outputs,)]
         found += [layer.weight.shape, layer.bias.shape]
     if widths[0] != model.recipe.width or expected != found:
         raise InputError(
@@ -297,6 +337,21 @@ def model_description(model: Model) -> str:
         "",
         f"- Descriptors: {parts}, from {model.recipe.eigenpairs} eigenpairs",
         f"- Layers: {' – '.join(map(str, layer_widths(model)))}",
-        *(f"- {key.replace('_', ' ').capitalize()}: {value}" for key, value in model.card.items()),
+        *_convolutions_description(model),
+        *(
+            f"- {key.replace('_', ' ').capitalize()}: {value}"
+            for key, value in model.card.items()
+            if key != "curve"  # which is in config.json
+        ),
     ]
     return "\n".join(lines) + "\n"
+
+
+def _convolutions_description(model: Model) -> list[str]:
+    if model.patches is None:
+        return []
+    places = ", ".join(
+        str(i) for i, layer in enumerate(model.layers, start=1) if layer.weight.ndim > 2
+    )
+    bins = " × ".join(map(str, model.patches.bins))
+    return [f"- Convolutions: layers {places}, over {model.patches.kind} patches of {bins} bins"]

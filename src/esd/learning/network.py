@@ -4,36 +4,112 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
+from typing import Any
 
+import numpy as np
 import torch
 from torch import nn
 
+from esd.baselines.gcnn import GeodesicPatches
+from esd.baselines.patches import Patches
+from esd.common import IntArray
+from esd.spectral.laplacian import SparseMatrix
 
-def embedding_network(widths: Sequence[int]) -> nn.Sequential:
-    """Fully connected layers of the given widths, input first, with ReLU between them.
 
-    The branch of the paper's Siamese network (section 3.4), its figure 3.
+class Convolution(nn.Module):  # type: ignore[misc] # torch is untyped here
+    """Filters over the patches of vertices, as `esd.baselines.patches.convolution` applies them."""
+
+    def __init__(self, inputs: int, outputs: int, patches: Patches) -> None:
+        super().__init__()
+        self.weight = nn.Parameter(torch.empty(outputs, *patches.bins, inputs))
+        self.bias = nn.Parameter(torch.empty(outputs))
+        self.turns = patches.bins[1] if isinstance(patches, GeodesicPatches) else 1
+
+    def forward(self, patched: torch.Tensor) -> torch.Tensor:
+        """Values (v, outputs) from those in the bins of patches, (v · bins, inputs)."""
+        filters = torch.stack([self.weight.roll(turn, 2) for turn in range(self.turns)])
+        outputs = len(self.bias)
+        products = patched.reshape(-1, self.weight[0].numel()) @ filters.flatten(2).flatten(0, 1).T
+        return products.reshape(-1, self.turns, outputs).amax(dim=1) + self.bias
+
+
+class _Patched(torch.autograd.Function):  # type: ignore[misc]
+    """Values (n, inputs) in the bins of patches, by rows of a patch operator."""
+
+    @staticmethod
+    def forward(context: Any, values: torch.Tensor, operator: SparseMatrix) -> torch.Tensor:
+        context.operator = operator
+        return torch.from_numpy(operator @ values.detach().numpy())
+
+    @staticmethod
+    def backward(context: Any, gradient: torch.Tensor) -> tuple[torch.Tensor, None]:
+        return torch.from_numpy(context.operator.T @ gradient.numpy()), None
+
+
+def convolved(
+    network: nn.Sequential, values: torch.Tensor, operator: SparseMatrix, vertices: IntArray
+) -> torch.Tensor:
+    """Embedding (b, outputs) of some vertices of a shape by a network with convolutions.
+
+    Parameters
+    ----------
+    values : (n, width)
+        Descriptors of all its vertices.
+    operator : (n · bins, n)
+        See `esd.baselines.patches.patch_operator`.
+    """
+    bins = operator.shape[0] // operator.shape[1]
+    last = max(i for i, layer in enumerate(network) if isinstance(layer, Convolution))
+    for i, layer in enumerate(network):
+        if isinstance(layer, Convolution):
+            if i == last:  # what lies elsewhere is needed no more
+                operator = operator[(vertices[:, None] * bins + np.arange(bins)).ravel()]
+            values = _Patched.apply(values, operator)
+        values = layer(values)
+    return values
+
+
+def embedding_network(
+    widths: Sequence[int], patches: Patches | None = None, convolutions: Sequence[int] = ()
+) -> nn.Sequential:
+    """Layers of the given widths, input first, with ReLU between them.
+
+    Fully connected, it is the branch of the paper's Siamese network (section 3.4), its figure 3.
+
+    Parameters
+    ----------
+    patches, convolutions
+        Which layers, from 0, are convolutions, and over what.
     """
     layers: list[nn.Module] = []
     for i, (inputs, outputs) in enumerate(pairwise(widths)):
         if i:
             layers.append(nn.ReLU())
-        layers.append(nn.Linear(inputs, outputs))
+        if i in convolutions and patches is not None:
+            layers.append(Convolution(inputs, outputs, patches))
+        else:
+            layers.append(nn.Linear(inputs, outputs))
     return nn.Sequential(*layers)
 
 
 def linear_layers(network: nn.Sequential) -> list[nn.Linear]:
-    """The layers that have weights, in order."""
+    """The fully connected layers, in order."""
     return [layer for layer in network if isinstance(layer, nn.Linear)]
 
 
-def seeded_network(widths: Sequence[int], seed: int) -> nn.Sequential:
+def seeded_network(
+    widths: Sequence[int],
+    seed: int,
+    patches: Patches | None = None,
+    convolutions: Sequence[int] = (),
+) -> nn.Sequential:
     """An `embedding_network` with PyTorch's usual initial weights, drawn from a seed alone."""
     generator = torch.Generator().manual_seed(seed)
-    network = embedding_network(widths)
+    network = embedding_network(widths, patches, convolutions)
     with torch.no_grad():
-        for layer in linear_layers(network):
-            bound = layer.in_features**-0.5
-            layer.weight.uniform_(-bound, bound, generator=generator)
-            layer.bias.uniform_(-bound, bound, generator=generator)
+        for layer in network:
+            if isinstance(layer, nn.Linear | Convolution):
+                bound = layer.weight[0].numel() ** -0.5
+                layer.weight.uniform_(-bound, bound, generator=generator)
+                layer.bias.uniform_(-bound, bound, generator=generator)
     return network

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from esd.baselines.patches import Patches, patch_operator
 from esd.common import FloatArray, InputError, IntArray
 from esd.datasets.collection import Collection, check_correspondence
 from esd.datasets.remeshing import copy_name
@@ -15,6 +16,7 @@ from esd.datasets.store import open_store
 from esd.descriptors.recipe import Recipe, descriptors
 from esd.learning.model import standardised
 from esd.spectral.cache import Cache
+from esd.spectral.laplacian import SparseMatrix
 
 _CHUNK = 2**16  # rows
 
@@ -47,12 +49,15 @@ class PointTable:
     stored
         Of a table in a store, whose `values` and `rows` are read from the file when they are used:
         what is not.
+    operators : for each shape (vertices · bins, vertices)
+        Of `esd.baselines.patches.patch_operator`; none where nothing is convolved.
     """
 
     values: npt.NDArray[np.float32]
     rows: tuple[IntArray, ...]
     templates: IntArray
     stored: Stored | None = None
+    operators: tuple[SparseMatrix, ...] = ()
 
     def at(self, rows: IntArray) -> npt.NDArray[np.float32]:
         """Descriptors at some rows, (r, width)."""
@@ -60,6 +65,20 @@ class PointTable:
         if self.stored is None or self.stored.standardisation is None:
             return values
         return self.stored.standardisation(values).astype(np.float32)
+
+    def shapes(self) -> list[npt.NDArray[np.float32]]:
+        """Descriptors (vertices, width) of each shape that has an operator."""
+        stops = np.cumsum([operator.shape[1] for operator in self.operators])
+        return np.split(self.values, stops[:-1])
+
+    def whole_shape(self, rows: IntArray) -> WholeShape:
+        """The shape that some rows are of, all of one, with its operator."""
+        stops = np.cumsum([operator.shape[1] for operator in self.operators])
+        place = int(np.searchsorted(stops, rows[0], side="right"))
+        operator = self.operators[place]
+        start = int(stops[place]) - operator.shape[1]
+        values = np.nan_to_num(self.values[start : stops[place]])  # no patch takes the undefined
+        return WholeShape(values, operator, rows - start)
 
     def standardised(
         self, mean: FloatArray, deviation: FloatArray, *, limit: float | None = None
@@ -73,6 +92,25 @@ class PointTable:
             part = slice(start, start + _CHUNK)
             values[part] = change(self.values[part])
         return replace(self, values=values)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WholeShape:
+    """Some vertices of a shape, and what a convolution around them takes.
+
+    Parameters
+    ----------
+    values : (n, width) float32
+        Descriptors of all its vertices.
+    operator : (n · bins, n)
+        See `esd.baselines.patches.patch_operator`.
+    vertices : (b,)
+        Those that are asked for.
+    """
+
+    values: npt.NDArray[np.float32]
+    operator: SparseMatrix
+    vertices: IntArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,6 +155,7 @@ def point_table(
     recipe: Recipe,
     *,
     points: int | None = None,
+    patches: Patches | None = None,
     cache: Cache | None = None,
     on_shape: Callable[[], None] = lambda: None,
 ) -> PointTable:
@@ -127,6 +166,8 @@ def point_table(
     points
         Number of points of each template to keep, drawn at random but the same for all its shapes,
         with no other vertices, so that many shapes fit into memory; all by default.
+    patches
+        Whose operators are made, too; of all vertices, so `points` must be left out.
     on_shape
         Called after each shape, to show progress.
 
@@ -137,13 +178,15 @@ def point_table(
     """
     if collection.store is not None:
         raise InputError(f"'{collection.store}' is a store; see `stored_table`.")
-    values, rows, start = [], [], 0
+    values, rows, operators, start = [], [], [], 0
     for shape in collection.shapes:
         mesh = shape.mesh()
         index = shape.correspondence()
         check_correspondence(shape, index, mesh)
         try:
             columns = descriptors(recipe, mesh, cache=cache)
+            if patches is not None:
+                operators.append(patch_operator(patches, mesh, cache=cache))
         except InputError as error:
             raise InputError(f"'{shape.name}': {error}") from error
         if points is not None and points < len(index):
@@ -158,7 +201,7 @@ def point_table(
         start += len(columns)
         on_shape()
     templates = _numbered([shape.template for shape in collection.shapes])
-    return PointTable(np.concatenate(values), tuple(rows), templates)
+    return PointTable(np.concatenate(values), tuple(rows), templates, operators=tuple(operators))
 
 
 def stored_table(collection: Collection, recipe: Recipe, *, copies: int = 0) -> PointTable:

@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from esd.baselines.acnn import AnisotropicPatches
+from esd.baselines.gcnn import GeodesicPatches
+from esd.baselines.patches import Patches
 from esd.common import InputError
 from esd.descriptors.recipe import Descriptor, Recipe, gradient_recipe, single_recipe
 
@@ -51,6 +54,10 @@ class Training:
         on as well, so that the embedding does not depend on triangles.
     points
         Points of each template that are trained on; None for all.
+    patches, convolutions
+        Which layers, from 0, are convolutions, and over which patches.
+    look_every
+        Steps between two looks at the validation shapes, and between two checkpoints.
     """
 
     recipe: Recipe
@@ -70,6 +77,9 @@ class Training:
     steps: int = 20_000
     remeshings: int = 0
     points: int | None = None
+    patches: Patches | None = None
+    convolutions: tuple[int, ...] = ()
+    look_every: int = 500
 
 
 # every seventh scale of HKS; energies of WKS that other triangles of a surface change little
@@ -110,12 +120,36 @@ PRESETS = {
     "paper-gps": Training(single_recipe("gps"), hidden=(20, 18)),
     "osd": _osd("hks"),
     "osd-geometry": _osd("geometry"),
+    "gcnn": Training(
+        single_recipe("hks"),
+        hidden=(16,),
+        outputs=16,
+        patches=GeodesicPatches(),
+        convolutions=(1,),
+        learning_rate=3e-3,
+        schedule="cosine",
+        steps=3000,
+        look_every=100,
+    ),
+    "acnn": Training(
+        single_recipe("hks"),
+        hidden=(16, 16),
+        outputs=16,
+        patches=AnisotropicPatches(),
+        convolutions=(1, 2),
+        learning_rate=3e-3,
+        schedule="cosine",
+        steps=1000,
+        look_every=100,
+    ),
 }
 """`oriented`, which tells left from right; the networks of the paper (sections 3.4 and 3.5); and
-what it compares them with: optimal spectral descriptors of HKS, as there, and of the geometry
-vector, as their authors have them.
+what it compares them with, of HKS as there: optimal spectral descriptors, also of the geometry
+vector, as their authors have them, and convolutional networks.
 
-The paper leaves the number of steps open.
+`gcnn` has its authors' layers, fully connected and geodesic. `acnn` has theirs up to the second of
+three anisotropic ones, with 16 channels in place of 64 to 256, to be trained without a GPU. The
+paper leaves the numbers of steps, and of these networks the loss, open.
 """
 
 

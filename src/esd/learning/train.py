@@ -17,12 +17,12 @@ import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 
-from esd.common import InputError, whole_file
+from esd.common import FloatArray, InputError, IntArray, whole_file
 from esd.datasets.collection import Collection
 from esd.datasets.remeshing import with_remeshings
 from esd.learning.losses import PairCriteria, contrastive_loss, infonce_loss, pair_criteria
 from esd.learning.model import Layer, Model
-from esd.learning.network import seeded_network
+from esd.learning.network import convolved, seeded_network
 from esd.learning.pairs import (
     PairBatch,
     PointTable,
@@ -35,10 +35,8 @@ from esd.learning.pairs import (
 from esd.learning.presets import Training
 from esd.spectral.cache import Cache, content_key
 
-CHECK_EVERY = 500
-"""Steps between two looks at the validation shapes, and between two checkpoints."""
-
 _PATIENCE = 10  # looks without improvement after which training stops
+_PROGRESS = ("step", "best_loss", "best_step", "curve")  # what a checkpoint keeps beside tensors
 _VALIDATION_BATCHES = 40
 _LARGEST_SEED = 2**32 - 1
 _SOFT_LABEL = 0.2  # of the paper, where criteria are measured
@@ -53,12 +51,15 @@ class Progress:
     ----------
     step, steps
         Steps done, and to be done at the most.
+    training_loss
+        Mean over the training pairs since the look before.
     validation_loss
         Mean over the validation pairs at the last look; None without validation shapes.
     """
 
     step: int
     steps: int
+    training_loss: float
     validation_loss: float | None
 
 
@@ -80,6 +81,7 @@ class _Run:
     best_loss: float
     best_step: int
     best_weights: list[torch.Tensor]
+    curve: list[tuple[int, float, float | None]]
 
 
 def train(
@@ -108,7 +110,7 @@ def train(
         Of the model.
     validation
         Shapes of other subjects. Given these, the weights with the lowest loss on them are kept,
-        and training stops when it has not fallen for 5,000 steps.
+        and training stops when it has not fallen for ten looks (`training.look_every`).
     checkpoint
         A file from which an interrupted training goes on, and which is removed at its end.
     cache
@@ -119,12 +121,22 @@ def train(
     Raises
     ------
     InputError
-        If the shapes cannot be described, or the checkpoint belongs to another training.
+        If the shapes cannot be described, the checkpoint belongs to another training, or
+        convolutions are asked for without whole shapes.
     """
+    if training.patches is not None and (collection.store or training.points is not None):
+        raise InputError(
+            "Convolutions need whole shapes: train on meshes, not on a store, and on all points."
+        )
     if not 0 <= seed <= _LARGEST_SEED:
         raise InputError(f"`seed` must be from 0 to {_LARGEST_SEED}; got {seed}.")
     describe = partial(
-        point_table, recipe=training.recipe, points=training.points, cache=cache, on_shape=on_shape
+        point_table,
+        recipe=training.recipe,
+        points=training.points,
+        patches=training.patches,
+        cache=cache,
+        on_shape=on_shape,
     )
     if collection.store is not None:
         describe = partial(stored_table, recipe=training.recipe)
@@ -147,14 +159,13 @@ def train(
     identity = _identity(table, held_out, training, seed)
     if path is not None and path.exists():
         _resume(run, path, identity)
-    loss = None
-    while run.step < training.steps and not _is_exhausted(run, held_out):
-        _advance(run, table, training, seed)
-        if held_out is not None:
-            loss = _look(run, held_out, training)
+    while run.step < training.steps and not _is_exhausted(run, held_out, training):
+        training_loss = _advance(run, table, training, seed)
+        loss = _look(run, held_out, training) if held_out is not None else None
+        run.curve.append((run.step, training_loss, loss))
         if path is not None:
             _save_checkpoint(run, path, identity)
-        on_progress(Progress(run.step, training.steps, loss))
+        on_progress(Progress(run.step, training.steps, training_loss, loss))
     if path is not None:
         path.unlink(missing_ok=True)
     return Model(
@@ -166,6 +177,7 @@ def train(
         margin=training.margin if training.loss == "contrastive" else None,
         limit=training.limit,
         unit_length=training.loss == "infonce",
+        patches=training.patches,
         card=_card(collection, validation, training, seed, run),
     )
 
@@ -182,7 +194,7 @@ def embedded_criteria(
     """
     if model.margin is None:
         raise InputError(f"'{model.name}' was trained without a margin; the criteria need one.")
-    table = point_table(collection, model.recipe, cache=cache)
+    table = point_table(collection, model.recipe, patches=model.patches, cache=cache)
     draws = [
         draw_pairs(
             table, np.random.default_rng((_LARGEST_SEED, i)), count=512, soft_label=_SOFT_LABEL
@@ -190,12 +202,20 @@ def embedded_criteria(
         for i in range(batches)
     ]
     source, target = (
-        model.embed(table.values[np.concatenate(rows)])
+        _embedded(model, table, np.concatenate(rows))
         for rows in ([draw.source for draw in draws], [draw.target for draw in draws])
     )
     label = np.concatenate([draw.label for draw in draws])
     squared = ((source - target) ** 2).sum(axis=1)
     return pair_criteria(squared, label, margin=model.margin)
+
+
+def _embedded(model: Model, table: PointTable, rows: IntArray) -> FloatArray:
+    """Embedding of some rows of a table, (r, outputs)."""
+    if model.patches is None:
+        return model.embed(table.values[rows])
+    shapes = zip(table.shapes(), table.operators, strict=True)
+    return np.concatenate([model.embed(*each) for each in shapes])[rows]
 
 
 def _draw(table: PointTable, training: Training, seed: int, step: int) -> PairBatch:
@@ -208,7 +228,7 @@ def _draw(table: PointTable, training: Training, seed: int, step: int) -> PairBa
 
 def _start(training: Training, seed: int) -> _Run:
     widths = [training.recipe.width, *training.hidden, training.outputs]
-    network = seeded_network(widths, seed)
+    network = seeded_network(widths, seed, training.patches, training.convolutions)
     optimiser = torch.optim.Adam(network.parameters(), lr=training.learning_rate)
     for parameter in network.parameters():  # the moments exist from the start, as in checkpoints
         optimiser.state[parameter] = {
@@ -216,21 +236,24 @@ def _start(training: Training, seed: int) -> _Run:
             "exp_avg": torch.zeros_like(parameter),
             "exp_avg_sq": torch.zeros_like(parameter),
         }
-    return _Run(network, optimiser, 0, float("inf"), 0, _weights(network))
+    return _Run(network, optimiser, 0, float("inf"), 0, _weights(network), [])
 
 
-def _advance(run: _Run, table: PointTable, training: Training, seed: int) -> None:
-    """Go on to the next look, or to the last step."""
-    stop = min(run.step + CHECK_EVERY, training.steps)
+def _advance(run: _Run, table: PointTable, training: Training, seed: int) -> float:
+    """Go on to the next look, or to the last step; the mean loss of a pair on the way."""
+    stop = min(run.step + training.look_every, training.steps)
+    losses = []
     for step in range(run.step, stop):
         run.optimiser.param_groups[0]["lr"] = learning_rate(training, step)
         batch = _draw(table, training, seed, step)
         dropout = torch.Generator().manual_seed(_LARGEST_SEED * step + seed)
-        loss = _losses(run.network, table, batch, training, dropout=dropout).sum()
+        loss = _losses(run.network, table, batch, training, dropout=dropout)
         run.optimiser.zero_grad()
-        loss.backward()
+        loss.sum().backward()
         run.optimiser.step()
+        losses.append(loss.detach().mean())
     run.step = stop
+    return float(torch.stack(losses).double().mean())
 
 
 def learning_rate(training: Training, step: int) -> float:
@@ -250,17 +273,39 @@ def _losses(
     dropout: torch.Generator | None = None,
 ) -> torch.Tensor:
     """Loss of each pair of a batch, (b,); with descriptors dropped at random, or all there."""
-    described = torch.from_numpy(table.at(np.concatenate([batch.source, batch.target])))
-    if training.dropout and dropout is not None:
-        kept = torch.rand(described.shape, generator=dropout) >= training.dropout
-        described = described * kept / (1 - training.dropout)
-    embedded = network(described)
+    if training.patches is not None:
+        shapes = [table.whole_shape(rows) for rows in (batch.source, batch.target)]
+        embedded = torch.cat(
+            [
+                convolved(
+                    network,
+                    _dropped(shape.values, training, dropout),
+                    shape.operator,
+                    shape.vertices,
+                )
+                for shape in shapes
+            ]
+        )
+    else:
+        rows = np.concatenate([batch.source, batch.target])
+        embedded = network(_dropped(table.at(rows), training, dropout))
     if training.loss == "infonce":
         source, target = torch.nn.functional.normalize(embedded, dim=1).chunk(2)
         return infonce_loss(source, target, temperature=training.temperature)
     source, target = embedded.chunk(2)
     squared = ((source - target) ** 2).sum(dim=1)
     return contrastive_loss(squared, torch.from_numpy(batch.label), margin=training.margin)
+
+
+def _dropped(
+    values: npt.NDArray[np.float32], training: Training, dropout: torch.Generator | None
+) -> torch.Tensor:
+    """Descriptors (r, width), some of them set to zero if there is a generator."""
+    described = torch.from_numpy(values)
+    if not training.dropout or dropout is None:
+        return described
+    kept = torch.rand(described.shape, generator=dropout) >= training.dropout
+    return described * kept / (1 - training.dropout)
 
 
 def _look(run: _Run, held_out: _HeldOut, training: Training) -> float:
@@ -276,8 +321,9 @@ def _look(run: _Run, held_out: _HeldOut, training: Training) -> float:
     return mean
 
 
-def _is_exhausted(run: _Run, held_out: _HeldOut | None) -> bool:
-    return held_out is not None and run.step - run.best_step >= _PATIENCE * CHECK_EVERY
+def _is_exhausted(run: _Run, held_out: _HeldOut | None, training: Training) -> bool:
+    waited = run.step - run.best_step
+    return held_out is not None and waited >= _PATIENCE * training.look_every
 
 
 def _weights(network: torch.nn.Sequential) -> list[torch.Tensor]:
@@ -313,7 +359,7 @@ def _save_checkpoint(run: _Run, path: Path, identity: str) -> None:
             f"{i}.first_moment": state["exp_avg"],
             f"{i}.second_moment": state["exp_avg_sq"],
         }
-    state = {"step": run.step, "best_loss": run.best_loss, "best_step": run.best_step}
+    state = {name: getattr(run, name) for name in _PROGRESS}
     metadata = {"identity": identity, "state": json.dumps(state)}
     with whole_file(path) as temporary:
         temporary.write_bytes(save(tensors, metadata))
@@ -341,7 +387,8 @@ def _resume(run: _Run, path: Path, identity: str) -> None:
                 "exp_avg": tensors[f"{i}.first_moment"],
                 "exp_avg_sq": tensors[f"{i}.second_moment"],
             }
-    run.step, run.best_loss, run.best_step = (state[k] for k in ("step", "best_loss", "best_step"))
+    for name in _PROGRESS:
+        setattr(run, name, state[name])
 
 
 def _card(
@@ -357,6 +404,7 @@ def _card(
         "training": settings,
         "seed": seed,
         "steps_done": run.step,
+        "curve": run.curve,
         "threads": torch.get_num_threads(),
         "torch": str(torch.__version__),
     }

@@ -176,7 +176,7 @@ def _describe(file: Path, *, places: dict[Path, Path], model: Model, everything:
         "eigenvectors": pairs.eigenvectors,
         "mass": pairs.mass,
         "zero_modes": np.array(pairs.zero_modes),
-        "embedded": model.embed_spectrum(shape, pairs),
+        "embedded": model.embed_spectrum(shape, pairs, cache=default_cache()),
     }
     for name, array in arrays.items():
         np.save(folder / f"{name}.npy", array, allow_pickle=False)

@@ -66,7 +66,8 @@ def match(
     shapes = repair(source), repair(target)
     spectra = [recipe_spectrum(model.recipe, each.shape, cache=cache) for each in shapes]
     embedded = [
-        model.embed_spectrum(each.shape, pairs) for each, pairs in zip(shapes, spectra, strict=True)
+        model.embed_spectrum(each.shape, pairs, cache=cache)
+        for each, pairs in zip(shapes, spectra, strict=True)
     ]
     found = match_described(
         shapes,
