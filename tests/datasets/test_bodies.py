@@ -204,6 +204,8 @@ def test_export_and_reading_the_folder_are_inverse(tmp_path, remeshed):
         assert (one.symmetric() == two.symmetric()).all()
         labels = np.loadtxt(tmp_path / "out" / "parts" / f"{one.name}.txt", dtype=int)
         assert (labels == labels_on(two, part_labels())).all()
+        # points of two parts may share a vertex, of which there are few, and it has one label
+        assert (one.parts() == two.parts()).mean() > 0.95
     names = (tmp_path / "out" / "parts" / "names.txt").read_text().splitlines()
     assert tuple(names) == PARTS
 

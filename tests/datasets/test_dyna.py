@@ -6,7 +6,7 @@ from esd.common import InputError
 from esd.datasets.collection import Collection, Shape
 from esd.datasets.dyna import dyna_collection, is_dyna, recordings, save_selection
 from esd.datasets.open import open_collection
-from esd.datasets.splits import sample_by_subject, unseen_subjects
+from esd.datasets.splits import sample_by_subject, sample_subjects, unseen_subjects
 from esd.mesh.shapes import torus
 
 SEQUENCES = {
@@ -149,6 +149,12 @@ def test_splits_and_samples_go_by_subject():
     assert training.subjects == tuple("bcdefgh")
     _, testing = unseen_subjects(Collection("x", tuple(shapes), ("b",)))
     assert testing.subjects == ("b",)
+    assert unseen_subjects(collection, least=4)[1].subjects == tuple("efgh")
+    some = sample_subjects(collection, 3, seed=1)
+    assert len(some.subjects) == 3
+    assert len(some.shapes) == 36
+    assert some.subjects != sample_subjects(collection, 3, seed=2).subjects
+    assert sample_subjects(collection, 9) == collection
     sample = sample_by_subject(collection, 5, seed=1)
     assert [sum(s.subject == k for s in sample.shapes) for k in "abcdefgh"] == [5] * 8
     assert sample != sample_by_subject(collection, 5, seed=2)

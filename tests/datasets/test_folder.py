@@ -44,6 +44,35 @@ def test_vts_files_count_from_one(remeshed):
     assert [(s.name, t.name) for s, t in collection.pairs()] == [("cat0", "cat1"), ("cat1", "cat0")]
 
 
+def test_parts_are_named_at_the_points_of_the_template(remeshed):
+    parts = remeshed / "parts"
+    parts.mkdir()
+    (parts / "names.txt").write_text("head\nleft hand\n")
+    (parts / "cat0.txt").write_text("1\n" + "0\n" * 19)
+    collection = folder_collection(remeshed)
+    assert collection["cat0"].parts().tolist() == ["head", "left hand", "head"]
+    assert collection["cat1"].parts is None
+    for text in ("0\n" * 19, "0\n" * 19 + "2\n", "-1\n" * 20):
+        (parts / "cat0.txt").write_text(text)
+        with pytest.raises(InputError, match=r"must hold a number from 0 to 1, .* lie on 20"):
+            collection["cat0"].parts()
+    (parts / "cat0.txt").write_text("head\n")
+    with pytest.raises(InputError, match="parts of 'cat0' cannot be read: expected a number"):
+        collection["cat0"].parts()
+    (parts / "names.txt").unlink()
+    with pytest.raises(InputError, match="parts of 'cat0' cannot be read"):
+        collection["cat0"].parts()
+
+
+def test_parts_of_registered_meshes(registered):
+    (registered / "parts").mkdir()
+    (registered / "parts" / "names.txt").write_text("body\n")
+    (registered / "parts" / "tr_reg_001.txt").write_text("0\n" * 30)
+    collection = folder_collection(registered)
+    assert set(collection["tr_reg_001"].parts()) == {"body"}
+    assert collection["tr_reg_000"].parts is None
+
+
 def test_listed_subjects_override_names(registered):
     (registered / "subjects.csv").write_text("name,subject\ntr_reg_000,ann\ntr_reg_001,bob\n")
     assert folder_collection(registered).subjects == ("ann", "bob", "01", "02")

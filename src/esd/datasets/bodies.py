@@ -7,6 +7,7 @@ from functools import cache
 from importlib import resources
 
 import numpy as np
+import numpy.typing as npt
 
 from esd.common import IntArray
 from esd.datasets.body_pack import Pack, posed, read_pack
@@ -69,6 +70,7 @@ def bodies(
                 mesh=body.mesh,
                 correspondence=body.points,
                 symmetric=mirrored_points,
+                parts=part_names,
             )
             if remeshed:
                 own = int(np.random.SeedSequence([seed, subject, pose]).generate_state(1)[0])
@@ -86,6 +88,11 @@ def mirrored_points() -> IntArray:
 def part_labels() -> IntArray:
     """Part of the body of each point of the template, (p,), an index into `PARTS`."""
     return _pack().parts
+
+
+def part_names() -> npt.NDArray[np.str_]:
+    """The same by name, (p,)."""
+    return np.array(PARTS)[part_labels()]
 
 
 @cache

@@ -9,6 +9,9 @@ from fnmatch import fnmatchcase
 from itertools import permutations
 from pathlib import Path
 
+import numpy as np
+import numpy.typing as npt
+
 from esd.common import InputError, IntArray
 from esd.mesh.mesh import Mesh
 
@@ -31,6 +34,9 @@ class Shape:
         Reads the vertex of this shape at each point of the template, (p,); -1 where it has none.
     symmetric
         The same under the left-right symmetry of the body, or None where it is not known.
+    parts
+        Reads the name of the part of the body that each point of the template belongs to, (p,), or
+        None where none are known.
     """
 
     name: str
@@ -39,6 +45,7 @@ class Shape:
     mesh: Callable[[], Mesh]
     correspondence: Callable[[], IntArray]
     symmetric: Callable[[], IntArray] | None = None
+    parts: Callable[[], npt.NDArray[np.str_]] | None = None
 
 
 @dataclass(frozen=True, slots=True)

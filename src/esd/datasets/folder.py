@@ -5,11 +5,12 @@ from __future__ import annotations
 import csv
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from esd.common import InputError, IntArray
 from esd.datasets.collection import Collection, Shape
@@ -35,6 +36,9 @@ def folder_collection(path: str | os.PathLike[str]) -> Collection:
     subject of its own. A file `subjects.csv` with the columns `name,subject` and, if shapes of
     several kinds do not correspond with each other, `template`, overrides that.
 
+    `parts/names.txt` may hold the names of the parts of the body, and `parts/NAME.txt`, for one or
+    more of the shapes, the number, from 0, of the part of each vertex, one a line.
+
     Raises
     ------
     InputError
@@ -57,7 +61,7 @@ def folder_collection(path: str | os.PathLike[str]) -> Collection:
             shapes = [_with_vts(file, folder / name, listed) for file in files]
             break
     else:
-        shapes = _of_one_connectivity(files, listed)
+        shapes = _of_one_connectivity(folder, files, listed)
     return Collection(folder.resolve().name, tuple(shapes))
 
 
@@ -83,24 +87,69 @@ def read_vts(path: str | os.PathLike[str]) -> IntArray:
     return index - 1
 
 
+def read_parts(folder: Path, name: str, points: Callable[[], IntArray]) -> npt.NDArray[np.str_]:
+    """Names of the parts of the body at the points of the template, (p,), from a shape's labels.
+
+    Parameters
+    ----------
+    folder
+        Of `names.txt` and the labels of shapes.
+    name
+        Of the shape.
+    points
+        Reads its vertex at each point, (p,); -1 for none, where the name is empty.
+
+    Raises
+    ------
+    InputError
+        If a file is missing, or they do not fit each other or the vertices.
+    """
+    try:
+        names = [*(folder / "names.txt").read_text(encoding="utf-8").splitlines(), ""]
+        labels = np.array((folder / f"{name}.txt").read_text("ascii").split(), dtype=np.int64)
+    except (OSError, ValueError, OverflowError) as error:
+        raise InputError(
+            f"The parts of '{name}' cannot be read: expected a number a line in '{name}.txt', and "
+            f"names in 'names.txt' of '{folder}'; got: {error}."
+        ) from error
+    vertex = points()
+    if not ((labels >= 0) & (labels < len(names) - 1)).all() or vertex.max() >= len(labels):
+        raise InputError(
+            f"'{folder / name}.txt' must hold a number from 0 to {len(names) - 2}, of the names in "
+            f"'names.txt', for each vertex; the points lie on {vertex.max() + 1} or more."
+        )
+    return np.array(names)[np.where(vertex >= 0, labels[vertex], -1)]
+
+
+def _parts(
+    folder: Path, name: str, points: Callable[[], IntArray]
+) -> Callable[[], npt.NDArray[np.str_]] | None:
+    """What reads the parts of a shape, if the data set has them."""
+    if not (folder / "parts" / f"{name}.txt").is_file():
+        return None
+    return partial(read_parts, folder / "parts", name, points)
+
+
 def _with_vts(file: Path, corres: Path, listed: Mapping[str, tuple[str, str | None]]) -> Shape:
     vts = corres / f"{file.stem}.vts"
     if not vts.is_file():
         raise InputError(f"The shape '{file.name}' has no correspondence '{vts}'.")
     mirrored = corres / f"{file.stem}.sym.vts"
     subject, template = _identity(file.stem, listed)
+    points = partial(read_vts, vts)
     return Shape(
         name=file.stem,
         subject=subject,
         template=template,
         mesh=partial(read_mesh, file),
-        correspondence=partial(read_vts, vts),
+        correspondence=points,
         symmetric=partial(read_vts, mirrored) if mirrored.is_file() else None,
+        parts=_parts(corres.parent, file.stem, points),
     )
 
 
 def _of_one_connectivity(
-    files: list[Path], listed: Mapping[str, tuple[str, str | None]]
+    folder: Path, files: list[Path], listed: Mapping[str, tuple[str, str | None]]
 ) -> list[Shape]:
     first = read_mesh(files[0])
     shapes = []
@@ -113,7 +162,17 @@ def _of_one_connectivity(
             )
         subject, template = _identity(file.stem, listed)
         everywhere = partial(np.arange, len(first.vertices))
-        shapes.append(Shape(file.stem, subject, template, partial(read_mesh, file), everywhere))
+        parts = _parts(folder, file.stem, everywhere)
+        shapes.append(
+            Shape(
+                name=file.stem,
+                subject=subject,
+                template=template,
+                mesh=partial(read_mesh, file),
+                correspondence=everywhere,
+                parts=parts,
+            )
+        )
     return shapes
 
 

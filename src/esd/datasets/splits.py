@@ -33,7 +33,7 @@ def split_by_subject(
 
 
 def unseen_subjects(
-    collection: Collection, *, patterns: str | None = None
+    collection: Collection, *, patterns: str | None = None, least: int = 2
 ) -> tuple[Collection, Collection]:
     """Shapes to train on, and shapes of other subjects to test on.
 
@@ -42,7 +42,7 @@ def unseen_subjects(
     patterns
         Names of the shapes to test on, see `Collection.including`; all shapes of their subjects
         are kept out of the training. By default those of the collection's `testing_subjects`, or,
-        where there are none, of the last quarter of its subjects, but of at least two.
+        where there are none, of the last quarter of its subjects, but of at least `least`.
 
     Raises
     ------
@@ -52,11 +52,17 @@ def unseen_subjects(
     if patterns is not None:
         testing = collection.including(patterns)
     else:
-        quarter = max(2, len(collection.subjects) // 4)
+        quarter = max(least, len(collection.subjects) // 4)
         testing = collection.of_subjects(
             collection.testing_subjects or sorted(collection.subjects)[-quarter:]
         )
     return collection.excluding_subjects(testing.subjects), testing
+
+
+def sample_subjects(collection: Collection, count: int, *, seed: int = 0) -> Collection:
+    """The shapes of at most `count` subjects, drawn at random, in the order of the collection."""
+    order = np.random.default_rng(seed).permutation(len(collection.subjects))
+    return collection.of_subjects([collection.subjects[i] for i in order[:count]])
 
 
 def sample_by_subject(collection: Collection, count: int, *, seed: int = 0) -> Collection:
