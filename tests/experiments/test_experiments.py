@@ -1,7 +1,9 @@
 import csv
 import json
+import time
 from contextlib import contextmanager
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,13 +18,14 @@ from esd.experiments import (
     scale,
     setting,
     table1,
+    table2,
     transfer,
 )
 from esd.experiments.report import Report, Table, write_report
 from esd.experiments.setting import Setting, fingerprint, provenance, shortened, trained
 from esd.learning.model import raw_model
 from esd.learning.presets import PRESETS
-from esd.mesh.mesh import Mesh
+from esd.mesh.mesh import Mesh, surface_area, vertex_areas
 from esd.mesh.shapes import torus
 from esd.spectral.cache import Cache
 
@@ -118,6 +121,114 @@ def test_table1_counts_six_descriptors_and_goes_on(made, tmp_path, monkeypatch):
     monkeypatch.setattr(counting, "_correct_on_target", None)
     monkeypatch.setattr("esd.learning.train.train", None)
     assert table1.run(made).report == outcome.report
+
+
+@contextmanager
+def in_this_process(processes, mp_context):
+    """In place of a fresh process, which takes seconds to start."""
+    yield SimpleNamespace(submit=lambda *work: SimpleNamespace(result=lambda: work[0](*work[1:])))
+
+
+@pytest.fixture
+def compared(made, monkeypatch):
+    monkeypatch.setattr(table2, "_QUICK_STEPS", dict.fromkeys(table2.LEARNED.values(), 4))
+    monkeypatch.setattr(table2, "ProcessPoolExecutor", in_this_process)
+    return made
+
+
+def test_table2_compares_methods_on_ever_more_different_subjects(compared, tmp_path, monkeypatch):
+    outcome = table2.run(compared)
+    assert list(outcome.models) == ["HKS", *table2.LEARNED]
+    assert len(outcome.groups) == 2
+    same, other = outcome.groups
+    # the smaller of the two subjects is the source of all pairs
+    area = {s.subject: surface_area(s.mesh()) for s in compared.testing.shapes}
+    smallest = min(area, key=area.get)
+    assert same.subjects == f"{smallest}\\{smallest}"
+    assert {s.subject for s, _ in other.pairs} == {smallest}
+    assert {t.subject for _, t in other.pairs} == {"s2", "s3"} - {smallest}
+    assert len(same.pairs) == 2  # all there are
+    assert len(other.pairs) == 4
+    assert 0 < same.disparity.mean() < other.disparity.mean()
+    for group in outcome.groups:
+        for method in outcome.models:
+            assert [len(errors) for errors in group.errors[method]] == [38] * len(group.pairs)
+            curve = group.curve(method)
+            assert (np.diff(curve) >= 0).all()
+            at_5_percent = curve[np.searchsorted(table2.RADII, 0.05)]
+            assert 100 * at_5_percent == pytest.approx(group.accuracies(method).mean())
+    # trained on one subject, watched on the other, as HKS is not
+    shapes = {tuple(model.card.get("shapes", ())) for model in outcome.models.values()}
+    assert len(shapes) == 2
+    tables = {table.name: table for table in outcome.report.tables}
+    assert tables["paper_table2"].rows[3][-2:] == (10.12, 0.10)
+    assert [row[0] for row in tables["costs"].rows] == list(outcome.models)
+    assert all(row[1] > 0 for row in tables["costs"].rows)
+    trained_by_steps = [name for name in outcome.models if name not in ("HKS", "OSD")]
+    assert list(dict.fromkeys(row[0] for row in tables["training"].rows)) == trained_by_steps
+    assert "mirrored" not in tables
+    text = " ".join(outcome.report.findings)
+    assert "nothing is excluded" in text
+    assert "EHKS has 5.62 times the share of the best of the others, OSD" in text
+    assert drawn(viewing.table2_figures(outcome), tmp_path) == {"curves", "matches", "training"}
+    # again: nothing is trained, matched or measured anew
+    monkeypatch.setattr(table2, "_errors", None)
+    monkeypatch.setattr(table2, "_described_cost", None)
+    monkeypatch.setattr("esd.learning.train.train", None)
+    assert table2.run(compared).report == outcome.report
+
+
+def test_table2_leaves_out_parts_and_takes_mirrored_matches(compared):
+    parts = np.where(np.arange(384) < 96, "left hand", "torso")
+
+    def known(collection):
+        return replace(
+            collection,
+            shapes=tuple(
+                replace(s, symmetric=lambda: np.roll(np.arange(384), 192), parts=lambda: parts)
+                for s in collection.shapes
+            ),
+        )
+
+    outcome = table2.run(replace(compared, testing=known(compared.testing)))
+    assert "(25% of the points) are excluded" in " ".join(outcome.report.findings)
+    assert outcome.report.tables[1].name == "mirrored"
+    for group in outcome.groups:
+        for method in outcome.models:
+            assert not group.shown[method][:96].any()
+            for direct, nearer in zip(group.errors[method], group.mirrored[method], strict=True):
+                assert len(direct) == 29  # a tenth of the 288 that are left
+                assert (nearer <= direct).all()
+    assert any((g.mirrored["HKS"][0] < g.errors["HKS"][0]).any() for g in outcome.groups)
+
+
+def test_points_are_sampled_by_area_and_disparity_is_none_without_change(made):
+    shape = made.testing.shapes[0]
+    larger = replace(shape, mesh=lambda: Mesh(3 * shape.mesh().vertices + 1, shape.mesh().faces))
+    assert table2._disparity(shape, larger) == pytest.approx(0, abs=1e-9)
+    areas = vertex_areas(shape.mesh())
+    draws = [table2._sampled(shape, shape, None, (0, i)) for i in range(200)]
+    assert all(len(np.unique(draw)) == 38 for draw in draws)
+    large = areas > np.median(areas)
+    # half of the vertices; without replacement a little less than their share of the area
+    share = np.mean([large[draw].mean() for draw in draws])
+    assert share == pytest.approx(areas[large].sum() / areas.sum(), abs=0.03)
+
+
+def test_table2_needs_subjects_that_correspond(made):
+    with pytest.raises(InputError, match="two subjects or more to train on and to test on; got 1"):
+        table2.run(replace(made, training=made.training.of_subjects(["s0"])))
+    shapes = made.testing.shapes
+    foreign = tuple(replace(s, template="x") if s.subject == "s3" else s for s in shapes)
+    with pytest.raises(InputError, match=r"No shapes of 's.' and 's.' correspond"):
+        table2._drawn(replace(made, testing=replace(made.testing, shapes=foreign)))
+
+
+def test_processor_time_of_a_training_that_went_on_is_that_of_all_its_steps():
+    assert setting._cpu_seconds([(0, 5.0), (100, 7.0), (200, 9.0)]) == 4
+    assert setting._cpu_seconds([(0, 5.0), (300, 5.5), (400, 7.5)]) == 8  # from step 200 on
+    assert setting._cpu_seconds([(0, 5.0), (100, 7.0)]) == 2
+    assert 0 <= setting._cpu_seconds([(0, time.process_time())]) < 1
 
 
 def test_other_data_are_trained_on_anew(made, monkeypatch):

@@ -12,7 +12,15 @@ from esd.cli.output import tell
 
 # each has a module of its name in esd.experiments, whose `run` measures, and a function
 # NAME_figures in esd.viewing.experiments, which draws
-EXPERIMENTS = ("table1", "dimension", "architecture", "concatenation", "scale", "transfer")
+EXPERIMENTS = (
+    "table1",
+    "table2",
+    "dimension",
+    "architecture",
+    "concatenation",
+    "scale",
+    "transfer",
+)
 
 Experiment = Enum("Experiment", {name: name for name in EXPERIMENTS}, type=str)  # type: ignore[misc]
 
@@ -55,9 +63,10 @@ def reproduce(
     from esd.cli.progress import progress
     from esd.common import InputError
     from esd.datasets.open import open_collection
-    from esd.datasets.splits import sample_by_subject, unseen_subjects
+    from esd.datasets.splits import sample_by_subject, sample_subjects, unseen_subjects
     from esd.experiments.report import write_report
     from esd.experiments.setting import Setting, provenance
+    from esd.experiments.table2 import TESTING_SUBJECTS, TRAINING_SUBJECTS
     from esd.spectral.cache import default_cache
     from esd.viewing import experiments as drawing
     from esd.viewing.figures import save_figure
@@ -70,7 +79,13 @@ def reproduce(
     settings = []
     for name in data:
         collection = sample_by_subject(open_collection(name), per_subject, seed=seed)
-        training, testing = unseen_subjects(collection, patterns=test)
+        compared = experiment.value == "table2"  # whose numbers of subjects the paper tells
+        training, testing = unseen_subjects(
+            collection, patterns=test, least=TESTING_SUBJECTS if compared else 2
+        )
+        if compared:
+            training = sample_subjects(training, TRAINING_SUBJECTS, seed=seed)
+            testing = sample_subjects(testing, TESTING_SUBJECTS, seed=seed)
         settings.append(
             Setting(
                 training=training,

@@ -102,7 +102,7 @@ def correct_matches(
     places: dict[str, list[int]] = {}
     for place, (_, target) in enumerate(pairs):
         places.setdefault(target.name, []).append(place)
-    key = _models_key(models)
+    key = models_key(models)
     correct: dict[tuple[str, int], BoolArray] = {}
     with setting.progress(f"matching by {', '.join(models)}", len(pairs)) as went:
         for group in places.values():
@@ -174,7 +174,8 @@ def _summary_row(method: CorrectMatches, other: CorrectMatches | None) -> tuple[
     )
 
 
-def _models_key(models: Mapping[str, Model]) -> str:
+def models_key(models: Mapping[str, Model]) -> str:
+    """A key of all that the embeddings of some models depend on."""
     arrays = [
         array
         for model in models.values()

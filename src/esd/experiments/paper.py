@@ -39,3 +39,24 @@ TABLE1 = Table(
 
 TABLE1_POINTS = 6890
 """Vertices of a mesh of Dyna, of which table 1 counts some."""
+
+TABLE2 = Table(
+    "paper_table2",
+    "The paper's table 2, on Dyna: mean share of correct matches in percent, and RSD",
+    (
+        "group",
+        "subjects",
+        *(
+            f"{name} {what}"
+            for name in ("HKS", "OSD", "GCNN", "ACNN", "EHKS")
+            for what in ("%", "RSD")
+        ),
+    ),
+    (
+        (1, r"50020\50020", 54.18, 0.15, 42.84, 0.22, 15.69, 0.16, 26.46, 0.10, 34.73, 0.05),
+        (2, r"50020\50021", 10.71, 0.20, 20.13, 0.18, 20.76, 0.21, 33.03, 0.11, 28.91, 0.08),
+        (3, r"50020\50025", 5.88, 0.28, 17.18, 0.14, 22.25, 0.17, 31.93, 0.09, 26.15, 0.08),
+        (4, r"50020\50002", 0.12, 0.53, 1.80, 0.27, 0.54, 0.52, 1.05, 0.28, 10.12, 0.10),
+    ),
+)
+"""Matches within 5 % of the diameter among 10 % of the vertices, over ten pairs a group."""

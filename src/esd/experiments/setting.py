@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, replace
@@ -83,34 +84,63 @@ def shortened(training: Training, steps: int) -> Training:
     return replace(training, steps=steps, decay=training.decay ** (training.steps / steps))
 
 
-def trained(setting: Setting, name: str, training: Training) -> Model:
-    """A model trained on the shapes to train on, kept in the folder and trained only once."""
-    key = content_key(
-        name, data=fingerprint(setting.training), training=asdict(training), seed=setting.seed
-    )[: len(name) + 13]
+def trained(
+    setting: Setting, name: str, training: Training, *, validation: Collection | None = None
+) -> Model:
+    """A model trained on the shapes to train on, kept in the folder and trained only once.
+
+    Its card says how much processor time the training took, without the descriptors.
+
+    Parameters
+    ----------
+    validation
+        See `esd.learning.train.train`.
+    """
+    data = [fingerprint(each) for each in (setting.training, validation) if each is not None]
+    key = content_key(name, data=data, training=asdict(training), seed=setting.seed)
+    key = key[: len(name) + 13]
     folder = setting.folder / "models" / key
     if folder.exists():
         return replace(load_model(folder), name=name)
     folder.parent.mkdir(exist_ok=True)
     with setting.progress(f"training {name}", training.steps) as went:
-        done = 0
+        marks = [(0, time.process_time())]
+
+        def described() -> None:
+            marks[:] = [(0, time.process_time())]
 
         def tell(step: int) -> None:
-            nonlocal done
-            went(step - done)
-            done = step
+            went(step - marks[-1][0])
+            marks.append((step, time.process_time()))
 
         model = fit(
             setting.training,
             training,
             name=name,
             seed=setting.seed,
+            validation=validation,
             checkpoint=folder.with_name(f"{key}.checkpoint"),
             cache=setting.cache,
+            on_shape=described,
             on_progress=lambda state: tell(state.step),
         )
+    model = replace(model, card={**model.card, "training_cpu_seconds": _cpu_seconds(marks)})
     save_model(model, folder)
     return model
+
+
+def _cpu_seconds(marks: Sequence[tuple[int, float]]) -> float:
+    """Processor time of a whole training, of which this run may have done the last steps only.
+
+    Parameters
+    ----------
+    marks
+        Steps done and processor time at the start of this run and at each of its looks.
+    """
+    if len(marks) == 1:
+        return time.process_time() - marks[0][1]  # a training without steps
+    (first, start), (last, end) = marks[1 if len(marks) > 2 else 0], marks[-1]
+    return (end - start) / (last - first) * last
 
 
 def described(setting: Setting, collection: Collection, training: Training) -> PointTable:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.tri import Triangulation
 
+from esd.common import BoolArray
+from esd.datasets.collection import Shape
 from esd.experiments.architecture import CHOSEN, ArchitectureOutcome, Trial
 from esd.experiments.concatenation import ConcatenationOutcome
 from esd.experiments.counting import CorrectMatches
@@ -18,33 +20,50 @@ from esd.experiments.dimension import NEIGHBOURS, DimensionOutcome
 from esd.experiments.scale import FACTORS, ScaleOutcome
 from esd.experiments.setting import KINDS
 from esd.experiments.table1 import SHOWN, Table1Outcome
+from esd.experiments.table2 import RADII, Table2Outcome, training_curve
 from esd.experiments.transfer import UNEMBEDDED, TransferOutcome
 from esd.learning.losses import PairCriteria
 from esd.viewing.colours import UNMATCHED, position_colours
-from esd.viewing.figures import draw_mesh
+from esd.viewing.figures import draw_curves, draw_mesh
 
 Figures = dict[str, Figure]
 
 
 def table1_figures(outcome: Table1Outcome) -> Figures:
     """The correct matches of six pairs, source and target side by side, by each descriptor."""
-    pairs = outcome.pairs[:SHOWN]
-    meshes = [(source.mesh(), target.mesh()) for source, target in pairs]
+    rows = [
+        (pair, {f"{m.name}: {m.counts[i]}": m.correct[i] for m in outcome.matched})
+        for i, pair in enumerate(outcome.pairs[:SHOWN])
+    ]
+    return {"matches": _matches_figure(rows), "counts": _counts_figure(outcome.matched)}
+
+
+def _matches_figure(
+    rows: Sequence[tuple[tuple[Shape, Shape], Mapping[str, BoolArray]]],
+) -> Figure:
+    """Pairs, source and target side by side, once for each method, coloured where it is right.
+
+    Parameters
+    ----------
+    rows
+        Source and target, and by the title of each method which points of the template are right.
+    """
+    meshes = [(source.mesh(), target.mesh()) for (source, target), _ in rows]
     extents = np.array([np.ptp(mesh.vertices, axis=0) for pair in meshes for mesh in pair])
     up = "y" if np.median(extents[:, 1]) > np.median(extents[:, 2]) else "z"
-    figure = _figure(2.2 * len(outcome.matched), 1.9 * len(pairs))
-    cells: Any = figure.subfigures(len(pairs), len(outcome.matched))
-    for i, ((source, target), (first, second)) in enumerate(zip(pairs, meshes, strict=True)):
+    count = len(rows[0][1])
+    figure = _figure(2.2 * count, 1.9 * len(rows))
+    cells: Any = figure.subfigures(len(rows), count, squeeze=False)
+    for line, ((source, target), methods), (first, second) in zip(cells, rows, meshes, strict=True):
         colours = position_colours(second)
         ends = (first, source.correspondence()), (second, target.correspondence())
-        for cell, method in zip(cells[i], outcome.matched, strict=True):
-            right = method.correct[i]
+        for cell, (title, right) in zip(line, methods.items(), strict=True):
             for axes, (mesh, index) in zip(cell.subplots(1, 2), ends, strict=True):
                 shown = np.tile(UNMATCHED, (len(mesh.vertices), 1))
                 shown[index[right]] = colours[ends[1][1][right]]
                 draw_mesh(axes, mesh, shown, up)
-            cell.suptitle(f"{method.name}: {method.counts[i]}", fontsize=8)
-    return {"matches": figure, "counts": _counts_figure(outcome.matched)}
+            cell.suptitle(title, fontsize=8)
+    return figure
 
 
 def _counts_figure(matched: Sequence[CorrectMatches]) -> Figure:
@@ -62,6 +81,55 @@ def _counts_figure(matched: Sequence[CorrectMatches]) -> Figure:
         for median in boxes["medians"]:
             median.set_color("black")
         axes.set_title(title, fontsize=9)
+    return figure
+
+
+def table2_figures(outcome: Table2Outcome) -> Figures:
+    """Curves of the groups, the correct matches of a pair of each, and the trainings' losses."""
+    curves = _figure(2.9 * len(outcome.groups), 3.6)
+    panels = curves.subplots(1, len(outcome.groups), squeeze=False)[0]
+    for number, (axes, group) in enumerate(zip(panels, outcome.groups, strict=True), start=1):
+        draw_curves(axes, 100 * RADII, {name: group.curve(name) for name in outcome.models})
+        axes.set_title(
+            f"group {number}: {group.subjects}\ndisparity {group.disparity.mean():.1f} %",
+            fontsize=9,
+        )
+        axes.set_xlabel("error, % of the diameter")
+        if number > 1:
+            axes.get_legend().remove()
+            axes.set_ylabel("")
+    rows = [
+        (
+            group.pairs[0],
+            {
+                f"{name}: {group.accuracies(name)[0]:.1f} %": group.shown[name]
+                for name in outcome.models
+            },
+        )
+        for group in outcome.groups
+    ]
+    return {
+        "curves": curves,
+        "matches": _matches_figure(rows),
+        "training": _training_figure(outcome),
+    }
+
+
+def _training_figure(outcome: Table2Outcome) -> Figure:
+    looks = {name: np.array(training_curve(model)) for name, model in outcome.models.items()}
+    looks = {name: array for name, array in looks.items() if len(array)}
+    figure = _figure(2.9 * len(looks), 2.8)
+    for axes, (name, array) in zip(
+        figure.subplots(1, len(looks), squeeze=False)[0], looks.items(), strict=True
+    ):
+        step, training, validation = array.T
+        axes.plot(step, training, "-", label="training")
+        axes.plot(step, validation, "--", label="validation")
+        axes.axvline(step[np.argmin(validation)], color="grey", linewidth=0.8, label="chosen")
+        axes.set_title(name, fontsize=9)
+        axes.set_xlabel("step")
+    figure.axes[0].set_ylabel("loss a pair")
+    figure.axes[0].legend(fontsize=8)
     return figure
 
 
