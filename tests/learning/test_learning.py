@@ -199,6 +199,18 @@ def test_equal_seeds_give_equal_weights_and_others_do_not(collection):
     assert not np.array_equal(weights[0], weights[2])
 
 
+def test_small_networks_are_trained_in_one_thread_and_others_keep_theirs(collection):
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    try:
+        small = train(collection, replace(TRAINING, steps=1))
+        large = train(collection, replace(TRAINING, hidden=(2000, 2000), steps=1))
+        assert (small.card["threads"], large.card["threads"]) == (1, 2)
+        assert torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(before)
+
+
 def test_interrupted_training_goes_on_to_the_same_weights(collection, tmp_path):
     class StopError(Exception):
         pass

@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +42,7 @@ _PROGRESS = ("step", "best_loss", "best_step", "curve")  # what a checkpoint kee
 _VALIDATION_BATCHES = 40
 _LARGEST_SEED = 2**32 - 1
 _SOFT_LABEL = 0.2  # of the paper, where criteria are measured
+_LARGE_STEP = 10**8  # multiplications in a step's products
 _LAST_RATE = 0.05  # of the learning rate, where it falls as a cosine
 
 
@@ -154,32 +157,47 @@ def train(
         batches = (_draw(held, training, _LARGEST_SEED, i) for i in range(_VALIDATION_BATCHES))
         held_out = _HeldOut(held, tuple(batches))
 
-    run = _start(training, seed)
-    path = Path(checkpoint) if checkpoint is not None else None
-    identity = _identity(table, held_out, training, seed)
-    if path is not None and path.exists():
-        _resume(run, path, identity)
-    while run.step < training.steps and not _is_exhausted(run, held_out, training):
-        training_loss = _advance(run, table, training, seed)
-        loss = _look(run, held_out, training) if held_out is not None else None
-        run.curve.append((run.step, training_loss, loss))
+    with _threads(training):
+        run = _start(training, seed)
+        path = Path(checkpoint) if checkpoint is not None else None
+        identity = _identity(table, held_out, training, seed)
+        if path is not None and path.exists():
+            _resume(run, path, identity)
+        while run.step < training.steps and not _is_exhausted(run, held_out, training):
+            training_loss = _advance(run, table, training, seed)
+            loss = _look(run, held_out, training) if held_out is not None else None
+            run.curve.append((run.step, training_loss, loss))
+            if path is not None:
+                _save_checkpoint(run, path, identity)
+            on_progress(Progress(run.step, training.steps, training_loss, loss))
         if path is not None:
-            _save_checkpoint(run, path, identity)
-        on_progress(Progress(run.step, training.steps, training_loss, loss))
-    if path is not None:
-        path.unlink(missing_ok=True)
-    return Model(
-        name=name,
-        recipe=training.recipe,
-        mean=mean,
-        deviation=deviation,
-        layers=_layers(run.best_weights if held_out is not None else _weights(run.network)),
-        margin=training.margin if training.loss == "contrastive" else None,
-        limit=training.limit,
-        unit_length=training.loss == "infonce",
-        patches=training.patches,
-        card=_card(collection, validation, training, seed, run),
-    )
+            path.unlink(missing_ok=True)
+        return Model(
+            name=name,
+            recipe=training.recipe,
+            mean=mean,
+            deviation=deviation,
+            layers=_layers(run.best_weights if held_out is not None else _weights(run.network)),
+            margin=training.margin if training.loss == "contrastive" else None,
+            limit=training.limit,
+            unit_length=training.loss == "infonce",
+            patches=training.patches,
+            card=_card(collection, validation, training, seed, run),
+        )
+
+
+@contextmanager
+def _threads(training: Training) -> Iterator[None]:
+    """One thread for a small network: sharing out its short steps takes longer than they do."""
+    widths = (training.recipe.width, *training.hidden, training.outputs)
+    products = 2 * training.batch * sum(a * b for a, b in pairwise(widths))
+    before = torch.get_num_threads()
+    if training.patches is None and products < _LARGE_STEP:
+        torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 def embedded_criteria(
