@@ -170,13 +170,13 @@ def scale_figures(outcome: ScaleOutcome) -> Figures:
     for axes, kind in zip(panels, map(str.upper, KINDS), strict=True):
         for name, shares in outcome.shares.items():
             if name.split(",")[0] in (kind, f"E{kind}"):
-                style = "--" if "unit" in name else "-"
+                style = "x--" if "unit" in name else "o-"
                 colour = "C1" if name.startswith("E") else "C0"
-                axes.semilogx(FACTORS, shares, f"o{style}", color=colour, label=name)
+                axes.semilogx(FACTORS, shares, style, color=colour, label=name)
         axes.set_xticks(FACTORS, [f"{factor:g}" for factor in FACTORS], minor=False)
         axes.minorticks_off()
         axes.set_xlabel("size of the target")
-        axes.legend(fontsize=7)
+        axes.legend(fontsize=7, handlelength=3.5)
     panels[0].set_ylabel("correct matches, %")
     return {"scale": figure}
 
