@@ -19,7 +19,7 @@ from esd.mesh.mesh import (
     surface_area,
     vertex_normals,
 )
-from esd.mesh.topology import is_collapsed, is_repeated, largest_piece, sides_of
+from esd.mesh.topology import compacted, is_collapsed, is_repeated, largest_piece, sides_of
 
 _HOLES = 10
 _APART = 0.3  # least distance along the surface of what is welded, in units of √area
@@ -58,7 +58,7 @@ def geometric_noise(mesh: Mesh, level: float, *, seed: int = 0) -> Perturbed:
     _check_level(level, np.inf)
     generator = np.random.default_rng(seed)
     step = level * edge_lengths(mesh).mean() * generator.standard_normal((len(mesh.vertices), 1))
-    return _compact(Mesh(mesh.vertices + step * vertex_normals(mesh), mesh.faces))
+    return Perturbed(*compacted(Mesh(mesh.vertices + step * vertex_normals(mesh), mesh.faces)))
 
 
 def holes(mesh: Mesh, level: float, *, seed: int = 0) -> Perturbed:
@@ -122,7 +122,7 @@ def edge_flips(mesh: Mesh, level: float, *, seed: int = 0) -> Perturbed:
         known.add(turned)
         faces[f], faces[g] = (c, a, d), (d, b, c)
         touched[[f, g]] = True
-    return _compact(Mesh(mesh.vertices, faces))
+    return Perturbed(*compacted(Mesh(mesh.vertices, faces)))
 
 
 def short_circuits(mesh: Mesh, level: float, *, seed: int = 0) -> Perturbed:
@@ -164,8 +164,8 @@ def short_circuits(mesh: Mesh, level: float, *, seed: int = 0) -> Perturbed:
     vertices[representative[gone]] /= 2
     faces = representative[mesh.faces]
     faces = faces[~(is_collapsed(faces) | is_repeated(faces))]
-    result = _compact(Mesh(vertices, faces))
-    return Perturbed(result.mesh, result.vertex_index[representative])
+    result, place = compacted(Mesh(vertices, faces))
+    return Perturbed(result, place[representative])
 
 
 def plane_cut(mesh: Mesh, level: float, *, seed: int = 0) -> Perturbed:
@@ -218,13 +218,7 @@ def _check_level(level: float, below: float) -> None:
 
 
 def _with_faces(mesh: Mesh, keep: FloatArray) -> Perturbed:
-    return _compact(largest_piece(Mesh(mesh.vertices, mesh.faces[keep])))
-
-
-def _compact(mesh: Mesh) -> Perturbed:
-    used = is_referenced(mesh)
-    index = np.where(used, np.cumsum(used) - 1, -1)
-    return Perturbed(Mesh(mesh.vertices[used], index[mesh.faces]), index)
+    return Perturbed(*compacted(largest_piece(Mesh(mesh.vertices, mesh.faces[keep]))))
 
 
 def _near_and_far(mesh: Mesh) -> IntArray:

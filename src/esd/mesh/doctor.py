@@ -27,6 +27,7 @@ from esd.mesh.mesh import (
 )
 from esd.mesh.topology import (
     Sides,
+    compacted,
     cut_apart,
     fan_count,
     holes_filled,
@@ -96,12 +97,12 @@ class Repaired:
         """The same without vertices that have no face."""
         if isinstance(self.shape, PointCloud):
             return self
-        used = is_referenced(self.shape)
-        rank = np.where(used, np.cumsum(used) - 1, -1)
-        index = np.where(self.vertex_index >= 0, rank[self.vertex_index], -1)
-        mesh = Mesh(self.shape.vertices[used], rank[self.shape.faces])
+        mesh, place = compacted(self.shape)
         return replace(
-            self, shape=mesh, vertex_index=index, original_index=self.original_index[used]
+            self,
+            shape=mesh,
+            vertex_index=np.where(self.vertex_index >= 0, place[self.vertex_index], -1),
+            original_index=self.original_index[place >= 0],
         )
 
 

@@ -9,7 +9,14 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from esd.common import BoolArray, FloatArray, InputError, IntArray
-from esd.mesh.mesh import Mesh, components, edge_lengths, face_areas, surface_area
+from esd.mesh.mesh import (
+    Mesh,
+    components,
+    edge_lengths,
+    face_areas,
+    is_referenced,
+    surface_area,
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -277,3 +284,10 @@ def largest_piece(mesh: Mesh) -> Mesh:
     """The mesh with only the faces of the connected piece of the largest area."""
     piece = piece_of_faces(mesh)
     return mesh if piece.max() == 0 else replace(mesh, faces=mesh.faces[piece == 0])
+
+
+def compacted(mesh: Mesh) -> tuple[Mesh, IntArray]:
+    """The mesh without vertices that have no face; and what each became, (n,), -1 if it went."""
+    used = is_referenced(mesh)
+    index = np.where(used, np.cumsum(used) - 1, -1)
+    return Mesh(mesh.vertices[used], index[mesh.faces]), index
