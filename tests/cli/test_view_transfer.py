@@ -166,6 +166,24 @@ def test_match_writes_a_page_beside_its_map(run, tmp_path, monkeypatch):
     assert (tmp_path / "a-a.html").stat().st_size > 500_000
 
 
+def test_broken_meshes_are_shown_with_the_vertices_of_their_files(run, tmp_path, monkeypatch):
+    monkeypatch.setattr("typer.launch", lambda page: None)
+    whole = torus(24, 16)
+    write_mesh(whole, tmp_path / "a.off")
+    lines = (tmp_path / "a.off").read_text().splitlines()
+    lines[5] = "nan 0 0"
+    (tmp_path / "b.off").write_text("\n".join(lines))
+    run("match", "b.off", "a.off", "-m", "hks", "--view", where=tmp_path)
+    run("view", "b.off", "a.off", "b-a.csv", "-o", "again.html", where=tmp_path)
+    for name in ("b-a.html", "again.html"):
+        layout = re.search(r'"arrays": (\[\[.*?\]\])', (tmp_path / name).read_text())
+        assert {array: size for array, _, _, size in json.loads(layout[1])}["map"] == 384
+    (tmp_path / "points.xyz").write_text("\n".join(" ".join(map(str, v)) for v in whole.vertices))
+    done = run("match", "points.xyz", "a.off", "-m", "hks", "--view", where=tmp_path, expect=1)
+    assert "Nothing can be drawn: there is no face between finite vertices" in done.stderr
+    assert not (tmp_path / "points-a.csv").exists()
+
+
 def test_how_much_is_told(run, pair):
     export = ("export", "a.off", "b.off", "map.csv", "--force", "-o", "n.npy")
     assert run(*export, where=pair).stdout == "written to n.npy\n"

@@ -89,6 +89,7 @@ def match(
     from esd.matching.correspondence import check_map_path, save_map
     from esd.matching.match import match as match_meshes
     from esd.mesh.doctor import repair as repaired
+    from esd.mesh.doctor import usable_part
 
     if batch is not None:
         if source or view:
@@ -106,6 +107,7 @@ def match(
     page = path.with_suffix(".html")
     if view:
         free_path(page, force=force)
+        drawn = usable_part(source), usable_part(target)
     loaded = load_model(model)
     shapes = repaired(source, everything=repair), repaired(target, everything=repair)
     result = match_meshes(*shapes, model=loaded, refine=refine, one_to_one=one_to_one)
@@ -141,9 +143,8 @@ def match(
             )
     if view:
         from esd.cli.view import write_page
-        from esd.mesh.mesh import as_mesh
 
-        write_page((source, as_mesh(source)), (target, as_mesh(target)), result, page)
+        write_page((source, drawn[0]), (target, drawn[1]), result, page)
         typer.launch(str(page.resolve()))
 
 

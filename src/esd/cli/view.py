@@ -53,12 +53,12 @@ def view(
     The page needs no network. Point at a shape to see the match; press ? for its keys.
     """
     from esd.matching.correspondence import load_map
-    from esd.mesh.mesh import as_mesh
+    from esd.mesh.doctor import usable_part
     from esd.viewing.page import check_page_path
 
     path = free_path(output or Path(f"{source.stem}-{target.stem}.html"), force=force)
     check_page_path(path)
-    source_mesh, target_mesh = as_mesh(source), as_mesh(target)
+    source_mesh, target_mesh = usable_part(source), usable_part(target)
     counts = {
         "source_count": len(source_mesh.vertices),
         "target_count": len(target_mesh.vertices),

@@ -199,6 +199,23 @@ def repair(
     return Repaired(mesh, index, original, diagnosis, frozenset(done))
 
 
+def usable_part(source: MeshLike) -> Mesh:
+    """The mesh with all its vertices, and those of its faces that can be drawn.
+
+    Vertices with a coordinate that is no number lie at the origin; extreme coordinates are moved
+    and scaled.
+
+    Raises
+    ------
+    InputError
+        If no face is left.
+    """
+    _, mesh = _sound(*_loose_arrays(source))
+    if mesh is None:
+        raise InputError("Nothing can be drawn: there is no face between finite vertices.")
+    return mesh
+
+
 def _loose_arrays(source: MeshLike) -> tuple[npt.NDArray[np.float64], IntArray]:
     """Vertices and faces of the right shapes and types, whatever their values."""
     vertices, faces = as_arrays(source)
