@@ -19,6 +19,7 @@ EXPERIMENTS = (
     "architecture",
     "concatenation",
     "scale",
+    "noise",
     "transfer",
 )
 

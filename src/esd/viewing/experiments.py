@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.tri import Triangulation
 
@@ -24,7 +23,8 @@ from esd.experiments.table2 import RADII, Table2Outcome, training_curve
 from esd.experiments.transfer import UNEMBEDDED, TransferOutcome
 from esd.learning.losses import PairCriteria
 from esd.viewing.colours import UNMATCHED, position_colours
-from esd.viewing.figures import draw_curves, draw_mesh
+from esd.viewing.figures import axis_up, blank_figure, draw_curves, draw_mesh
+from esd.viewing.noise import noise_figures as noise_figures
 
 Figures = dict[str, Figure]
 
@@ -49,10 +49,9 @@ def _matches_figure(
         Source and target, and by the title of each method which points of the template are right.
     """
     meshes = [(source.mesh(), target.mesh()) for (source, target), _ in rows]
-    extents = np.array([np.ptp(mesh.vertices, axis=0) for pair in meshes for mesh in pair])
-    up = "y" if np.median(extents[:, 1]) > np.median(extents[:, 2]) else "z"
+    up = axis_up(mesh for pair in meshes for mesh in pair)
     count = len(rows[0][1])
-    figure = _figure(2.2 * count, 1.9 * len(rows))
+    figure = blank_figure(2.2 * count, 1.9 * len(rows))
     cells: Any = figure.subfigures(len(rows), count, squeeze=False)
     for line, ((source, target), methods), (first, second) in zip(cells, rows, meshes, strict=True):
         colours = position_colours(second)
@@ -67,7 +66,7 @@ def _matches_figure(
 
 
 def _counts_figure(matched: Sequence[CorrectMatches]) -> Figure:
-    figure = _figure(8, 3)
+    figure = blank_figure(8, 3)
     left, right = figure.subplots(1, 2)
     names = [method.name for method in matched]
     colours = [f"C{i % len(KINDS)}" for i in range(len(names))]
@@ -86,7 +85,7 @@ def _counts_figure(matched: Sequence[CorrectMatches]) -> Figure:
 
 def table2_figures(outcome: Table2Outcome) -> Figures:
     """Curves of the groups, the correct matches of a pair of each, and the trainings' losses."""
-    curves = _figure(2.9 * len(outcome.groups), 3.6)
+    curves = blank_figure(2.9 * len(outcome.groups), 3.6)
     panels = curves.subplots(1, len(outcome.groups), squeeze=False)[0]
     for number, (axes, group) in enumerate(zip(panels, outcome.groups, strict=True), start=1):
         draw_curves(axes, 100 * RADII, {name: group.curve(name) for name in outcome.models})
@@ -118,7 +117,7 @@ def table2_figures(outcome: Table2Outcome) -> Figures:
 def _training_figure(outcome: Table2Outcome) -> Figure:
     looks = {name: np.array(training_curve(model)) for name, model in outcome.models.items()}
     looks = {name: array for name, array in looks.items() if len(array)}
-    figure = _figure(2.9 * len(looks), 2.8)
+    figure = blank_figure(2.9 * len(looks), 2.8)
     for axes, (name, array) in zip(
         figure.subplots(1, len(looks), squeeze=False)[0], looks.items(), strict=True
     ):
@@ -135,7 +134,7 @@ def _training_figure(outcome: Table2Outcome) -> Figure:
 
 def dimension_figures(outcome: DimensionOutcome) -> Figures:
     """Residual variance by number of components: raw above, standardised below."""
-    figure = _figure(9, 5.5)
+    figure = blank_figure(9, 5.5)
     panels = figure.subplots(2, len(KINDS), sharex=True, sharey=True)
     colours = colormaps["viridis"](np.linspace(0, 0.9, len(NEIGHBOURS)))
     for row, scaling in zip(panels, ("", ", standardised"), strict=True):
@@ -165,7 +164,7 @@ def concatenation_figures(outcome: ConcatenationOutcome) -> Figures:
 
 def scale_figures(outcome: ScaleOutcome) -> Figures:
     """Share of correct matches by size of the target."""
-    figure = _figure(9, 3.2)
+    figure = blank_figure(9, 3.2)
     panels = figure.subplots(1, len(KINDS), sharey=True)
     for axes, kind in zip(panels, map(str.upper, KINDS), strict=True):
         for name, shares in outcome.shares.items():
@@ -185,7 +184,7 @@ def transfer_figures(outcome: TransferOutcome) -> Figures:
     """Share of correct matches by what was trained on and what was tested on."""
     names = outcome.collections
     rows = (UNEMBEDDED, *names)
-    figure = _figure(3.2 * len(KINDS), 1 + 0.6 * len(rows))
+    figure = blank_figure(3.2 * len(KINDS), 1 + 0.6 * len(rows))
     shares = np.array(
         [[[outcome.shares[kind, row, test] for test in names] for row in rows] for kind in KINDS]
     )
@@ -204,7 +203,7 @@ def transfer_figures(outcome: TransferOutcome) -> Figures:
 
 def architecture_figures(outcome: ArchitectureOutcome) -> Figures:
     """The criteria over the neurons of two hidden layers, one row a descriptor; and by depth."""
-    figure = _figure(11, 8)
+    figure = blank_figure(11, 8)
     panels = figure.subplots(len(KINDS), len(_MEASURES))
     for row, kind in zip(panels, KINDS, strict=True):
         grid = [t for t in outcome.trials if t.kind == kind and len(t.hidden) == 2]
@@ -223,7 +222,7 @@ def architecture_figures(outcome: ArchitectureOutcome) -> Figures:
 
 
 def _depth_figure(trials: tuple[Trial, ...]) -> Figure:
-    figure = _figure(9, 3.2)
+    figure = blank_figure(9, 3.2)
     for axes, kind in zip(figure.subplots(1, len(KINDS)), KINDS, strict=True):
         for place, (what, of) in enumerate(_SIDES.items()):
             groups = [
@@ -259,9 +258,3 @@ _SIDES: dict[str, Callable[[Trial], PairCriteria]] = {
     "unseen subjects": lambda trial: trial.testing,
     "subjects trained on": lambda trial: trial.training,
 }
-
-
-def _figure(width: float, height: float) -> Figure:
-    figure = Figure(figsize=(width, height), layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure

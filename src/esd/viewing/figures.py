@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -125,8 +125,7 @@ def curves_figure(
     """
     if not errors:
         raise InputError("There are no errors to draw.")
-    figure = Figure(figsize=(6, 4), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = blank_figure(6, 4)
     axes = figure.subplots()
     radii = np.linspace(0, largest, 201)
     draw_curves(
@@ -154,8 +153,7 @@ def errors_figure(errors: Mapping[str, Sequence[PairErrors]]) -> Figure:
     """
     if not errors:
         raise InputError("There are no errors to draw.")
-    figure = Figure(figsize=(11, 4), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = blank_figure(11, 4)
     for axes, (title, largest, unit) in zip(figure.subplots(1, 2), _NORMALISERS, strict=True):
         radii = np.linspace(0, largest, 201)
         curves = {}
@@ -204,6 +202,19 @@ def save_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
         figure.savefig(temporary, dpi=150)
 
 
+def blank_figure(width: float, height: float) -> Figure:
+    """A figure of a size in inches, drawn without a display."""
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def axis_up(meshes: Iterable[Mesh]) -> str:
+    """The axis, `y` or `z`, along which most of some meshes are longer."""
+    extents = np.array([np.ptp(mesh.vertices, axis=0) for mesh in meshes])
+    return "y" if np.median(extents[:, 1]) > np.median(extents[:, 2]) else "z"
+
+
 def _check_up(up: str) -> None:
     if up not in ("y", "z"):
         raise InputError(f"`up` must be 'y' or 'z'; got '{up}'.")
@@ -211,8 +222,7 @@ def _check_up(up: str) -> None:
 
 def _panels(count: int) -> tuple[Figure, Sequence[Any]]:
     """A figure without a display, and its panels side by side."""
-    figure = Figure(figsize=(4 * count, 6), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = blank_figure(4 * count, 6)
     return figure, figure.subplots(1, count, squeeze=False)[0]
 
 

@@ -1,4 +1,4 @@
-"""The figures of the noise study."""
+"""The figures of the experiment on noise."""
 
 from __future__ import annotations
 
@@ -6,62 +6,133 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib import colormaps
-from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
+from scipy.spatial import KDTree
 
+from esd.common import FloatArray
+from esd.evaluation.errors import cumulative_curve
 from esd.evaluation.perturb import PERTURBATIONS
-from esd.experiments.noise import NoisyPair
-from esd.viewing.figures import draw_mesh
+from esd.experiments.noise import (
+    MODELS,
+    PARTIAL,
+    THRESHOLDS,
+    NoiseOutcome,
+    NoisyMaps,
+    mean_error,
+    precision_recall,
+)
+from esd.viewing.figures import axis_up, blank_figure, draw_mesh
 
-_WORST = 0.25  # of the diameter, where the colours end as in the paper
-_UNKNOWN = (0.75, 0.75, 0.75)
+_WORST = 0.25  # of the diameter, where the paper's colours end
+_STYLES = {"HKS": "C0s--", "EHKS": "C1o-", "default": "C2D-"}
 
 
-def noise_curves(found: Sequence[NoisyPair]) -> Figure:
-    """Mean error of each model over the level, a panel for each noise."""
-    names = list(dict.fromkeys(pair.noise for pair in found))
-    figure = Figure(figsize=(2.6 * len(names), 2.8), layout="constrained")
-    FigureCanvasAgg(figure)
-    panels = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
-    for axes, name in zip(panels, names, strict=True):
-        for model in dict.fromkeys(pair.model for pair in found):
-            chosen = [pair for pair in found if (pair.noise, pair.model) == (name, model)]
-            levels = sorted({pair.level for pair in chosen})
-            means = [
-                100 * np.nanmean([pair.mean_error for pair in chosen if pair.level == level])
-                for level in levels
-            ]
-            axes.plot(levels, means, marker="o", markersize=3, label=model)
-        axes.set_title(name)
-        axes.set_xlabel(PERTURBATIONS[name].unit, fontsize=8)
+def noise_figures(outcome: NoiseOutcome) -> dict[str, Figure]:
+    """Errors by level, their distribution, what confidence tells of missing parts, and pictures."""
+    painted = {
+        f"painted-{noise.replace(' ', '-')}": _painted(outcome, noise) for noise in PERTURBATIONS
+    }
+    return {
+        "errors": _errors(outcome),
+        "curves": _curves(outcome),
+        "counterparts": _counterparts(outcome),
+        **painted,
+    }
+
+
+def _errors(outcome: NoiseOutcome) -> Figure:
+    """Mean error over the level, a panel a noise; bars are standard deviations over pairs."""
+    figure = blank_figure(2.4 * len(PERTURBATIONS), 2.8)
+    panels = figure.subplots(1, len(PERTURBATIONS), sharey=True)
+    for axes, (noise, kind) in zip(panels, PERTURBATIONS.items(), strict=True):
+        for model, style in _STYLES.items():
+            series = outcome.series(noise, model)
+            deviation = [100 * np.nanmean(maps.nearer, axis=1).std() for maps in series]
+            levels, means = [maps.level for maps in series], [mean_error(maps) for maps in series]
+            axes.errorbar(
+                levels, means, deviation, fmt=style, markersize=3, elinewidth=0.6, label=model
+            )
+        axes.set_title(noise, fontsize=9)
+        axes.set_xlabel(kind.unit, fontsize=8)
         axes.set_ylim(bottom=0)
-    panels[0].set_ylabel("mean error, % of the diameter")
+        axes.grid(alpha=0.3)
+    panels[0].set_ylabel("mean error, % of the diameter", fontsize=8)
     panels[0].legend(fontsize=7)
     return figure
 
 
-def noise_shapes(found: Sequence[NoisyPair], *, up: str = "z") -> Figure:
-    """The first pair's errors painted on the disturbed shape: a row a model, a column a noise.
-
-    The strongest level of each noise is shown; colours run from none (dark) to a quarter of the
-    diameter and more (bright), and vertices without truth are grey.
-
-    Parameters
-    ----------
-    up
-        The axis, `y` or `z`, that points up in the meshes.
-    """
-    models = list(dict.fromkeys(pair.model for pair in found))
-    names = list(dict.fromkeys(pair.noise for pair in found))
-    figure = Figure(figsize=(2 * len(names), 2.6 * len(models)), layout="constrained")
-    FigureCanvasAgg(figure)
-    panels = figure.subplots(len(models), len(names), squeeze=False)
-    for row, model in zip(panels, models, strict=True):
-        for axes, name in zip(row, names, strict=True):
-            chosen = [pair for pair in found if (pair.noise, pair.model) == (name, model)]
-            shown = max(reversed(chosen), key=lambda pair: pair.level)
-            colours = colormaps["inferno"](np.clip(shown.errors / _WORST, 0, 1))[:, :3]
-            colours[np.isnan(shown.errors)] = _UNKNOWN
-            draw_mesh(axes, shown.mesh, colours, up)
-            axes.set_title(f"{model}\n{name} {shown.level:g}", fontsize=8)
+def _curves(outcome: NoiseOutcome) -> Figure:
+    """Share of points within an error, a row a model, a column a noise, a line a level."""
+    figure = blank_figure(2.4 * len(PERTURBATIONS), 2 * len(MODELS))
+    panels = figure.subplots(len(MODELS), len(PERTURBATIONS), sharex=True, sharey=True)
+    radii = np.linspace(0, _WORST, 101)
+    for row, model in zip(panels, MODELS, strict=True):
+        for axes, noise in zip(row, PERTURBATIONS, strict=True):
+            series = outcome.series(noise, model)
+            for maps, colour in zip(series, _shades(series), strict=True):
+                known = maps.nearer[np.isfinite(maps.nearer)]
+                share = 100 * cumulative_curve(known, radii)
+                axes.plot(100 * radii, share, color=colour, label=f"{maps.level:g}")
+            axes.set(xlim=(0, 100 * _WORST), ylim=(0, 100))
+            axes.grid(alpha=0.3)
+            axes.set_title(f"{model}, {noise}", fontsize=8)
+            if model == next(iter(MODELS)):
+                axes.legend(fontsize=6, loc="lower right")
+        row[0].set_ylabel("points, %", fontsize=8)
+    for axes in panels[-1]:
+        axes.set_xlabel("error, % of the diameter", fontsize=8)
     return figure
+
+
+def _counterparts(outcome: NoiseOutcome) -> Figure:
+    """Precision over recall of 'has a counterpart', a row a model, a column a noise."""
+    figure = blank_figure(3 * len(PARTIAL), 2.4 * len(MODELS))
+    panels = figure.subplots(len(MODELS), len(PARTIAL), sharex=True, sharey=True)
+    for row, model in zip(panels, MODELS, strict=True):
+        for axes, noise in zip(row, PARTIAL, strict=True):
+            series = outcome.series(noise, model)[1:]
+            for maps, colour in zip(series, _shades(series), strict=True):
+                precision, recall = precision_recall(maps, THRESHOLDS)
+                axes.plot(100 * recall, 100 * precision, color=colour, label=f"{maps.level:g}")
+                share = 100 * maps.counterparts()[1].mean()
+                axes.axhline(share, color=colour, linewidth=0.6, linestyle=":")
+            axes.set_title(f"{model}, {noise}", fontsize=8)
+            axes.set(xlim=(0, 101), ylim=(40, 101))
+            axes.grid(alpha=0.3)
+        row[0].set_ylabel("precision, %", fontsize=8)
+        row[0].legend(fontsize=6, loc="lower left", title="level", title_fontsize=6)
+    for axes in panels[-1]:
+        axes.set_xlabel("recall, %", fontsize=8)
+    return figure
+
+
+def _painted(outcome: NoiseOutcome, noise: str) -> Figure:
+    """Errors on the first disturbed shape, a row a model, a column a level, as in the paper.
+
+    Vertices that are no point of the template are painted as the nearest that is one.
+    """
+    columns = len(outcome.series(noise, "default"))
+    figure = blank_figure(1.7 * columns + 0.6, 2.3 * len(MODELS))
+    panels = figure.subplots(len(MODELS), columns)
+    scale = ScalarMappable(Normalize(0, 100 * _WORST), "viridis")
+    up = axis_up(shown.mesh for shown in outcome.shown.values())
+    for row, model in zip(panels, MODELS, strict=True):
+        for axes, maps in zip(row, outcome.series(noise, model), strict=True):
+            shown = outcome.shown[maps.noise, maps.level]
+            vertex = np.where(outcome.points >= 0, shown.vertex_index[outcome.points], -1)
+            known = (vertex >= 0) & np.isfinite(maps.nearer[0])
+            places = shown.mesh.vertices[vertex[known]]
+            _, nearest = KDTree(places).query(shown.mesh.vertices)
+            colours = scale.to_rgba(100 * maps.nearer[0, known])[nearest, :3]
+            draw_mesh(axes, shown.mesh, colours, up)
+            mean = 100 * maps.nearer[0, known].mean()
+            axes.set_title(f"{model}, {maps.level:g}: {mean:.1f} %", fontsize=7)
+    figure.colorbar(scale, ax=panels, shrink=0.5, extend="max", label="error, % of the diameter")
+    return figure
+
+
+def _shades(series: Sequence[NoisyMaps]) -> FloatArray:
+    """Colours that grow lighter with the level."""
+    return np.asarray(colormaps["viridis"](np.linspace(0, 0.9, len(series))))
