@@ -1,59 +1,124 @@
-"""How a model's maps change with what should not matter: triangles, place, scale, order, noise.
+"""How maps change when a shape does: in what should not matter, and by damage.
 
-    python benchmarks/robustness.py MODEL DATASET 'tr_reg_06[0-4],tr_reg_07[0-4]'
+    python benchmarks/robustness.py default FAUST_R 'tr_reg_06*,tr_reg_07*' -o rows.csv
 
-Each target of the pairs of different subjects is altered, the source stays as it is. The second
-figure of each line is the mean geodesic error beside that of the unaltered targets. Errors are
-measured at some points of each pair, drawn at random, which saves most of the time.
+Each shape is mapped to its neighbour of another subject as it is, and altered in many ways, which
+`match` mends unasked; the error is measured on the neighbour, which stays as it is, at some points
+drawn at random. Rows are written as they come, and those that are there are not measured again.
+The ratio is that of the mean error to that of the same shapes as they are.
 Needs fast-simplification, which `pip install '.[dev]'` brings.
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import partial
+from pathlib import Path
+from typing import TypeAlias
 
 import fast_simplification
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
-from esd.common import IntArray
-from esd.datasets.collection import Shape
+from esd.common import FloatArray, IntArray
+from esd.datasets.collection import Collection, Shape
 from esd.datasets.open import open_collection
-from esd.evaluation.protocol import evaluate
-from esd.learning.model import load_model
-from esd.matching.match import match
+from esd.descriptors.recipe import recipe_spectrum
+from esd.evaluation.errors import geodesic_errors
+from esd.evaluation.perturb import (
+    Perturbed,
+    edge_flips,
+    geometric_noise,
+    holes,
+    plane_cut,
+    short_circuits,
+)
+from esd.learning.model import Model, load_model
+from esd.matching.match import match_described
+from esd.mesh.doctor import Repaired, repair
+from esd.mesh.geodesics import geodesic_diameter, geodesic_graph
 from esd.mesh.mesh import Mesh, edge_lengths, surface_area
 from esd.mesh.remesh import remesh
-from esd.mesh.shapes import subdivide
-from esd.spectral.cache import default_cache
+from esd.mesh.shapes import icosphere, subdivide
+from esd.spectral.cache import Cache, default_cache
+from esd.spectral.spectrum import Spectrum
 
-Alter = Callable[[Mesh], Mesh]
-"""The altered mesh."""
+Altered: TypeAlias = tuple[FloatArray, IntArray, IntArray]
+"""Vertices, faces, and the new vertex of each old one, -1 where it is gone."""
+
+Alter: TypeAlias = Callable[[Mesh, np.random.Generator], Altered]
+
+HEADER = (
+    *("shape", "target", "alteration", "error", "right", "unmatched"),
+    *("severity", "verdict", "expected"),
+)
+FIRST = "as it is"
+POINTS = 1000
 
 
-def rotated(mesh: Mesh) -> Mesh:
-    rotation, _ = np.linalg.qr(np.random.default_rng(0).standard_normal((3, 3)))
-    return replace(mesh, vertices=mesh.vertices @ (rotation * np.linalg.det(rotation)))
+def with_vertices(vertices_of: Callable[[Mesh, np.random.Generator], FloatArray]) -> Alter:
+    """Other coordinates."""
+    return lambda mesh, rng: (vertices_of(mesh, rng), mesh.faces, np.arange(len(mesh.vertices)))
 
 
-def noisy(mesh: Mesh) -> Mesh:
-    step = 0.3 * edge_lengths(mesh).mean()
-    shift = np.random.default_rng(0).standard_normal(mesh.vertices.shape) * step / np.sqrt(3)
-    return replace(mesh, vertices=mesh.vertices + shift)
+def with_faces(faces_of: Callable[[Mesh, np.random.Generator], IntArray]) -> Alter:
+    """Other faces between the same vertices."""
+    return lambda mesh, rng: (mesh.vertices, faces_of(mesh, rng), np.arange(len(mesh.vertices)))
+
+
+def with_triangles(mesh_of: Callable[[Mesh], Mesh]) -> Alter:
+    """Other triangles; old vertices go to the nearest new ones."""
+
+    def alter(mesh: Mesh, rng: np.random.Generator) -> Altered:
+        made = mesh_of(mesh)
+        return made.vertices, made.faces, KDTree(made.vertices).query(mesh.vertices)[1]
+
+    return alter
+
+
+def perturbed(disturb: Callable[..., Perturbed], level: float) -> Alter:
+    def alter(mesh: Mesh, rng: np.random.Generator) -> Altered:
+        made = disturb(mesh, level, seed=int(rng.integers(2**31)))
+        return made.mesh.vertices, made.mesh.faces, made.vertex_index
+
+    return alter
+
+
+def rotated(mesh: Mesh, rng: np.random.Generator) -> FloatArray:
+    rotation, _ = np.linalg.qr(rng.standard_normal((3, 3)))
+    return mesh.vertices @ (rotation * np.linalg.det(rotation))
+
+
+def shaken(mesh: Mesh, rng: np.random.Generator) -> FloatArray:
+    step = 0.3 * edge_lengths(mesh).mean() / np.sqrt(3)
+    return mesh.vertices + step * rng.standard_normal(mesh.vertices.shape)
+
+
+def shuffled(mesh: Mesh, rng: np.random.Generator) -> Altered:
+    order = rng.permutation(len(mesh.vertices))
+    place = np.argsort(order)
+    return mesh.vertices[order], place[mesh.faces], place
+
+
+def turned(share: float) -> Alter:
+    """Faces wound the other way."""
+    return with_faces(
+        lambda mesh, rng: np.where(
+            rng.random((len(mesh.faces), 1)) < share, mesh.faces[:, ::-1], mesh.faces
+        )
+    )
 
 
 def decimated(mesh: Mesh, count: int) -> Mesh:
     """By quadric error metrics: fewer triangles where the surface is flat."""
     scale = np.sqrt(surface_area(mesh))
-    faces = round(2 * count)
     vertices, faces = fast_simplification.simplify(
         (mesh.vertices / scale).astype(np.float32),
         mesh.faces.astype(np.int32),
-        target_count=faces,
+        target_count=2 * count,
     )
     return Mesh(vertices.astype(float) * scale, faces)
 
@@ -65,69 +130,149 @@ def stretched(mesh: Mesh) -> Mesh:
     return replace(made, vertices=made.vertices / tall)
 
 
-def third_turned(mesh: Mesh) -> Mesh:
-    turned = np.random.default_rng(0).random((len(mesh.faces), 1)) < 1 / 3
-    return replace(mesh, faces=np.where(turned, mesh.faces[:, ::-1], mesh.faces))
+def torn(share: float) -> Alter:
+    """Faces that have corners of their own, as all have in STL."""
+
+    def alter(mesh: Mesh, rng: np.random.Generator) -> Altered:
+        count, faces = len(mesh.vertices), mesh.faces.copy()
+        loose = np.flatnonzero(rng.random(len(faces)) < share)
+        faces[loose] = count + np.arange(3 * len(loose)).reshape(-1, 3)
+        vertices = np.concatenate([mesh.vertices, mesh.vertices[mesh.faces[loose]].reshape(-1, 3)])
+        index = np.arange(count)
+        index[mesh.faces.ravel()] = faces.ravel()
+        return vertices, faces, index
+
+    return alter
+
+
+def dirty(share: float) -> Alter:
+    """Vertices that are no numbers, faces twice, a loose ball, lone vertices."""
+
+    def alter(mesh: Mesh, rng: np.random.Generator) -> Altered:
+        count, ball = len(mesh.vertices), icosphere(2)
+        vertices = mesh.vertices.copy()
+        vertices[rng.choice(count, int(share * count), replace=False)] = np.nan
+        twice = mesh.faces[: int(share * len(mesh.faces))]
+        return (
+            np.concatenate([vertices, 0.05 * ball.vertices + 3, rng.random((20, 3))]),
+            np.concatenate([mesh.faces, twice, ball.faces + count]),
+            np.arange(count),
+        )
+
+    return alter
 
 
 ALTERATIONS: dict[str, Alter] = {
-    "as it is": lambda mesh: mesh,
-    "triangles: even, 5,000 vertices": lambda mesh: remesh(mesh, 5000, style="even", seed=0).mesh,
-    "triangles: long, 5,000 (library)": stretched,
-    "triangles: by curvature, 3,000 (library)": lambda mesh: decimated(mesh, 3000),
-    "triangles: dense, 20,000 (each in four)": subdivide,
-    "triangles: coarse, 2,500": lambda mesh: remesh(mesh, 2500, style="even", seed=0).mesh,
-    "triangles: 15,000": lambda mesh: remesh(mesh, 15_000, style="even", seed=0).mesh,
-    "rotated": rotated,
-    "scaled by 0.2": lambda mesh: replace(mesh, vertices=0.2 * mesh.vertices),
-    "scaled by 4": lambda mesh: replace(mesh, vertices=4 * mesh.vertices),
-    "noise of 0.3 mean edges": noisy,
-    "a third of the faces turned": third_turned,
-    "inside out": lambda mesh: replace(mesh, faces=mesh.faces[:, ::-1]),
+    FIRST: with_vertices(lambda mesh, rng: mesh.vertices),
+    "rotated": with_vertices(rotated),
+    "scaled by 0.2": with_vertices(lambda mesh, rng: 0.2 * mesh.vertices),
+    "scaled by 4": with_vertices(lambda mesh, rng: 4 * mesh.vertices),
+    "vertices shuffled": shuffled,
+    "noise of 0.3 mean edges": with_vertices(shaken),
+    "mirrored": with_vertices(lambda mesh, rng: mesh.vertices * [-1, 1, 1]),
+    "inside out": with_faces(lambda mesh, rng: mesh.faces[:, ::-1]),
+    "noise along the normals, 0.2 mean edges": perturbed(geometric_noise, 0.2),
+    "noise along the normals, 1 mean edge": perturbed(geometric_noise, 1.0),
+    "ten holes, 2 % of the area": perturbed(holes, 0.02),
+    "ten holes, 20 %": perturbed(holes, 0.2),
+    "turned edges, 5 % of the faces": perturbed(edge_flips, 0.05),
+    "turned edges, 50 %": perturbed(edge_flips, 0.5),
+    "short circuits, 0.2 % of the faces": perturbed(short_circuits, 0.002),
+    "short circuits, 5 %": perturbed(short_circuits, 0.05),
+    "cut by a plane, 5 % of the area": perturbed(plane_cut, 0.05),
+    "cut by a plane, 35 %": perturbed(plane_cut, 0.35),
+    "faces torn loose, 5 %": torn(0.05),
+    "faces torn loose, all": torn(1.0),
+    "faces wound the other way, 5 %": turned(0.05),
+    "faces wound the other way, 50 %": turned(0.5),
+    "dirt, 0.2 %": dirty(0.002),
+    "dirt, 3 %": dirty(0.03),
+    "triangles: even, 5,000 vertices": with_triangles(
+        lambda mesh: remesh(mesh, 5000, style="even", seed=0).mesh
+    ),
+    "triangles: coarse, 2,500": with_triangles(
+        lambda mesh: remesh(mesh, 2500, style="even", seed=0).mesh
+    ),
+    "triangles: fine, 15,000": with_triangles(
+        lambda mesh: remesh(mesh, 15_000, style="even", seed=0).mesh
+    ),
+    "triangles: long, 5,000 (library)": with_triangles(stretched),
+    "triangles: by curvature, 3,000 (library)": with_triangles(lambda mesh: decimated(mesh, 3000)),
 }
 
 
-def altered(shape: Shape, alter: Alter, *, other_vertices: bool) -> Shape:
-    """The shape with an altered mesh, whose points go to the nearest vertices if it has others."""
-    mesh, index = shape.mesh(), shape.correspondence()
-    made = alter(mesh)
-    nearest = np.arange(len(mesh.vertices))
-    if other_vertices:
-        _, nearest = cKDTree(made.vertices).query(mesh.vertices)
-    moved = np.where(index >= 0, nearest[index], -1)
-    return replace(
-        shape,
-        name=f"{shape.name}, altered",
-        mesh=lambda: made,
-        correspondence=lambda: moved,
-        symmetric=None,
-    )
+def neighbours(collection: Collection) -> Iterator[tuple[Shape, Shape]]:
+    """Each shape with the first one of the next subject, then with its second one, and so on."""
+    subjects = list(collection.subjects)
+    groups = [[s for s in collection.shapes if s.subject == subject] for subject in subjects]
+    for place, group in enumerate(groups):
+        other = groups[(place + 1) % len(groups)]
+        for i, shape in enumerate(group):
+            yield shape, other[i % len(other)]
 
 
-def shuffled(shape: Shape) -> Shape:
-    mesh, index = shape.mesh(), shape.correspondence()
-    order = np.random.default_rng(0).permutation(len(mesh.vertices))
-    place = np.argsort(order)
-    made = Mesh(mesh.vertices[order], place[mesh.faces])
-    moved = np.where(index >= 0, place[index], -1)
-    return replace(
-        shape,
-        name=f"{shape.name}, shuffled",
-        mesh=lambda: made,
-        correspondence=lambda: moved,
-        symmetric=None,
-    )
+def described(
+    model: Model, shape: Repaired, cache: Cache | None
+) -> tuple[Repaired, Spectrum, FloatArray]:
+    pairs = recipe_spectrum(model.recipe, shape.shape, cache=cache)
+    return shape, pairs, model.embed_spectrum(shape.shape, pairs)
 
 
-def some_points(shape: Shape, count: int) -> Shape:
-    """The shape with some points of its template alone, the same of each shape."""
+def rows(
+    model: Model, source: Shape, target: Shape, alterations: list[str]
+) -> Iterator[tuple[object, ...]]:
+    """A row of `HEADER` for each alteration of the source."""
+    whole, there = target.mesh(), target.correspondence()
+    graph = geodesic_graph(whole)
+    diameter, root = geodesic_diameter(whole, graph=graph), surface_area(whole) ** 0.5
+    clean = described(model, repair(whole), default_cache())
+    points = np.flatnonzero((source.correspondence() >= 0) & (there >= 0))
+    points = np.random.default_rng(0).permutation(points)[:POINTS]
+    for name in alterations:
+        rng = np.random.default_rng(int(source.name[-3:]))
+        vertices, faces, index = ALTERATIONS[name](source.mesh(), rng)
+        other = described(model, repair((vertices, faces)), None)
+        forth = zip(other, clean, strict=True)
+        found = match_described(*forth, model=model, refine=None, one_to_one=False)
+        here = index[source.correspondence()[points]]
+        predicted = np.where(here >= 0, found.target_index[here], -1)
+        (error,) = geodesic_errors(graph, predicted, (there[points],))
+        matched = np.isfinite(error)
+        yield (
+            source.name,
+            target.name,
+            name,
+            100 * error[matched].mean() / root,
+            (error[matched] <= 0.05 * diameter).mean(),
+            1 - matched.mean(),
+            other[0].diagnosis.severity,
+            found.judgement.verdict,
+            found.judgement.expected_accuracy,
+        )
 
-    def correspondence() -> IntArray:
-        index = shape.correspondence()
-        dropped = np.random.default_rng(0).permutation(len(index))[count:]
-        return np.where(np.isin(np.arange(len(index)), dropped), -1, index)
 
-    return replace(shape, correspondence=correspondence, symmetric=None)
+def table(found: list[dict[str, str]]) -> Iterator[str]:
+    yield "| source | shapes | mean error | ratio | within 5 % | unmatched | severity | verdict |"
+    yield "|---|--:|--:|--:|--:|--:|---|---|"
+    as_they_are = {row["shape"]: float(row["error"]) for row in found if row["alteration"] == FIRST}
+    for name in ALTERATIONS:
+        some = [row for row in found if row["alteration"] == name]
+        if not some:
+            continue
+        error, right, unmatched = (
+            np.mean([float(row[key]) for row in some]) for key in ("error", "right", "unmatched")
+        )
+        ratio = error / np.mean([as_they_are[row["shape"]] for row in some])
+        said = (
+            ", ".join(
+                f"{what} {count}" for what, count in Counter(row[key] for row in some).most_common()
+            )
+            for key in ("severity", "verdict")
+        )
+        yield (
+            f"| {name} | {len(some)} | {error:.2f} | {ratio:.2f} | {right:.1%} | {unmatched:.0%} | "
+            f"{' | '.join(said)} |"
+        )
 
 
 def main() -> None:
@@ -135,52 +280,26 @@ def main() -> None:
     parser.add_argument("model")
     parser.add_argument("dataset")
     parser.add_argument("include")
-    parser.add_argument("--pairs", type=int, default=12)
-    parser.add_argument("--points", type=int, default=1000)
+    parser.add_argument("--output", "-o", type=Path, required=True)
+    parser.add_argument("--only", default="", help="alterations whose name begins so, by commas")
+    parser.add_argument("--shapes", type=int, help="so many of them, spread evenly")
     options = parser.parse_args()
-    model, cache = load_model(options.model), default_cache()
-    every = open_collection(options.dataset).including(options.include).pairs()
-    pairs = [
-        (some_points(source, options.points), target)
-        for source, target in every[:: max(1, len(every) // options.pairs)][: options.pairs]
-    ]
-    clean: dict[bool, float] = {}
-    print("| target | nearest neighbour | to clean | refined | to clean |\n|---|--:|--:|--:|--:|")
-    changes = {
-        name: partial(altered, alter=alter, other_vertices=name.startswith("triangles"))
-        for name, alter in ALTERATIONS.items()
-    }
-    for name, change in {**changes, "vertices shuffled": shuffled}.items():
-        targets = {target.name: change(target) for _, target in pairs}
-        cells = []
-        for refine in (False, True):
-            result, _ = evaluate(
-                model,
-                [(source, targets[target.name]) for source, target in pairs],
-                refine=refine,
-                cache=cache,
-            )
-            error = result.mean_geodesic_error_x100
-            cells += [f"{error:.2f}", f"{error / clean.setdefault(refine, error):.2f}"]
-        print(f"| {name} | {' | '.join(cells)} |", flush=True)
-    print("\nVerdicts of `match`:")
-    for name, spoil in {
-        "as it is": lambda mesh: mesh,
-        "mirrored, faces as they were": lambda mesh: replace(
-            mesh, vertices=mesh.vertices * [-1, 1, 1]
-        ),
-        "inside out": ALTERATIONS["inside out"],
-        "a third of the faces turned": third_turned,
-    }.items():
-        verdicts = Counter(
-            found.judgement.verdict
-            for found in (
-                match(source.mesh(), spoil(target.mesh()), model=model, cache=cache)
-                for source, target in pairs
-            )
-            if found.judgement
-        )
-        print(f"- {name}: {dict(verdicts)}", flush=True)
+    model = load_model(options.model)
+    pairs = list(neighbours(open_collection(options.dataset).including(options.include)))
+    pairs = pairs[:: max(1, len(pairs) // (options.shapes or len(pairs)))][: options.shapes]
+    wanted = [name for name in ALTERATIONS if name.startswith((FIRST, *options.only.split(",")))]
+    if not options.output.exists():
+        options.output.write_text(",".join(HEADER) + "\n")
+    for source, target in pairs:
+        with options.output.open(newline="") as file:
+            done = {
+                row["alteration"] for row in csv.DictReader(file) if row["shape"] == source.name
+            }
+        for row in rows(model, source, target, [name for name in wanted if name not in done]):
+            with options.output.open("a", newline="") as file:
+                csv.writer(file).writerow(row)
+    with options.output.open(newline="") as file:
+        print("\n".join(table(list(csv.DictReader(file)))))
 
 
 if __name__ == "__main__":
