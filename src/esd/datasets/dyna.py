@@ -14,6 +14,7 @@ import numpy as np
 
 from esd.common import InputError, whole_file
 from esd.datasets.collection import Collection, Shape
+from esd.datasets.hdf5 import check_self_contained
 from esd.datasets.splits import sample_by_subject
 from esd.mesh.mesh import Mesh
 
@@ -155,6 +156,7 @@ def _open(file: Path) -> h5py.File:
 
 def _recordings(file: Path) -> list[Recording]:
     with _open(file) as content:
+        check_self_contained(content)
         if not isinstance(content.get("faces"), h5py.Dataset):
             raise InputError(
                 f"'{file}' has no data set 'faces'; it is not of the layout of Dyna and D-FAUST."

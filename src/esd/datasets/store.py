@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from esd.common import FloatArray, InputError, IntArray, whole_file
 from esd.datasets.collection import Collection, Shape
+from esd.datasets.hdf5 import check_self_contained
 from esd.datasets.remeshing import copy_name
 from esd.descriptors.recipe import Recipe
 from esd.mesh.mesh import Mesh
@@ -155,6 +156,7 @@ def open_store(path: str | os.PathLike[str]) -> Store:
         raise InputError(f"'{path}' is no store of descriptors; make one by `esd precompute`.")
     try:
         with h5py.File(path, "r") as file:
+            check_self_contained(file)
             texts = {name: tuple(file[name].asstr()[:].tolist()) for name in _TEXTS}
             store = Store(
                 path=path,
