@@ -142,6 +142,36 @@ def test_killed_while_caching_nothing_is_found_next_time(tmp_path):
     assert cache.load("key") is None
     assert cache.computed("key", lambda: {"a": np.ones(3)})["a"].sum() == 3
     assert cache.load("key") is not None
+    assert len(left_over(tmp_path)) == 1  # counts as an entry, so that it goes in its turn
+    Cache(tmp_path, 1).store("other", {"a": np.ones(3)})
+    assert [path.name for path in tmp_path.iterdir()] == ["other.npz"]
+
+
+def test_a_precomputing_that_is_killed_goes_on_and_clears_up(shapes, tmp_path):
+    store = tmp_path / "s.h5"
+    code = (
+        "import os, signal, sys, numpy as np; from pathlib import Path\n"
+        "from esd.cli import main\n"
+        "save = np.savez\n"
+        "def second_half(file, **arrays):\n"
+        "    if list(Path(file).parent.glob('described*')):\n"
+        "        Path(file).write_bytes(b'PK'); os.kill(os.getpid(), signal.SIGKILL)\n"
+        "    save(file, **arrays)\n"
+        "np.savez = second_half\n"
+        "main()\n"
+    )
+    command = ["precompute", shapes, "-o", store, "--preset", "paper-hks", "--workers", 1]
+    environment = {**os.environ, "ESD_CACHE": "off"}
+    killed = subprocess.run(
+        [sys.executable, "-c", code, *map(str, command)], check=False, env=environment
+    )
+    assert killed.returncode == -signal.SIGKILL
+    assert not store.exists()
+    assert len(left_over(tmp_path)) == 1
+    again = run(*command, ESD_CACHE="off")
+    assert again.returncode == 0, again.stderr
+    assert "2 shapes computed, 1 unchanged" in again.stdout, again.stdout
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["s.h5", "set"]
 
 
 def test_a_full_disk_is_told_in_a_line_and_the_old_file_stays(shapes, tmp_path):

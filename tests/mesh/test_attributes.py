@@ -1,5 +1,7 @@
 import base64
+import struct
 import xml.etree.ElementTree as ElementTree
+import zlib
 
 import numpy as np
 import pytest
@@ -92,6 +94,16 @@ def texture() -> Texture:
     return Texture(mesh.vertices[mesh.faces][:, :, :2], Image.fromarray(pixels))
 
 
+def image_bomb() -> bytes:
+    """A PNG file of 57 bytes that announces 3.6 billion pixels."""
+    head = struct.pack(">4sIIBBBBB", b"IHDR", 60_000, 60_000, 8, 2, 0, 0, 0)
+    chunks = (head, b"IDAT")
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(chunk) - 4) + chunk + struct.pack(">I", zlib.crc32(chunk))
+        for chunk in chunks
+    )
+
+
 @pytest.mark.parametrize("suffix", ["obj", "glb"])
 def test_textures_come_back(tmp_path, texture, suffix):
     mesh = grid(5, 4)
@@ -116,6 +128,10 @@ def test_textures_that_are_not_whole_are_refused(tmp_path, texture):
         read_texture(tmp_path / "m.glb")
     write_textured(mesh, texture, path)
     whole = path.read_text()
+    for content in (b"", image_bomb()):
+        (tmp_path / "m.png").write_bytes(content)
+        with pytest.raises(InputError, match=r"m.png' cannot be read as an image"):
+            read_texture(path)
     (tmp_path / "m.png").unlink()
     with pytest.raises(InputError, match=r"has no image: .*m.png' is missing"):
         read_texture(path)

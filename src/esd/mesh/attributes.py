@@ -204,8 +204,11 @@ def _obj_texture(path: Path) -> Texture:
     if not images or not images[0].is_file():
         where = f"'{images[0]}' is missing" if images else "its material names none"
         raise InputError(f"'{path}' has no image: {where}.")
-    with Image.open(images[0]) as image:
-        return Texture(coordinates, image.copy())
+    try:
+        with Image.open(images[0]) as image:
+            return Texture(coordinates, image.copy())
+    except (OSError, Image.DecompressionBombError) as error:
+        raise InputError(f"'{images[0]}' cannot be read as an image: {error}.") from error
 
 
 def _glb_texture(path: Path) -> Texture:
