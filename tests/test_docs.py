@@ -32,3 +32,10 @@ def test_examples_of_a_page(page, tmp_path, monkeypatch, capsys):
                 assert ended.value.code == 0, (line, capsys.readouterr().err)
             else:
                 subprocess.run(["bash", "-ec", line], check=True)
+
+
+def test_tests_that_a_page_names_exist():
+    written = "\n".join(file.read_text() for file in Path(__file__).parent.rglob("test_*.py"))
+    named = set(re.findall(r"`(test_\w+)`", (DOCS / "robustness.md").read_text()))
+    assert len(named) > 15
+    assert {name for name in named if f"def {name}(" not in written} == set()

@@ -202,6 +202,16 @@ def test_a_checkpoint_on_a_full_disk_ends_the_training_in_a_line(shapes, tmp_pat
     assert left_over(tmp_path) == []
 
 
+def test_precomputing_on_a_full_disk_tells_what_failed(shapes, tmp_path):
+    command = ("precompute", shapes, "--preset", "paper-hks", "--workers", 1)
+    done = run(*command, "-o", tmp_path / "s.h5", limit=20_000, ESD_CACHE="off")
+    assert done.returncode == 1
+    assert is_one_line(done.stderr), done.stderr
+    assert done.stdout.count("File too large") == 3, done.stdout
+    assert not (tmp_path / "s.h5").exists()
+    assert left_over(tmp_path) == []
+
+
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="needs a folder no one can write to")
 def test_a_folder_that_cannot_be_written_to_is_told(shapes, tmp_path):
     done = match(shapes, Path("/proc/map.csv"))
