@@ -83,7 +83,8 @@ def test_points_that_are_cut_off_have_no_error_and_no_counterpart(outcome_and_se
 
 def test_what_is_finished_is_not_measured_again(outcome_and_setting, monkeypatch):
     outcome, setting = outcome_and_setting
-    monkeypatch.setattr(noise, "_measured", None)
+    monkeypatch.setattr(noise, "_maps_of_pair", None)
+    monkeypatch.setattr(noise, "geodesic_errors", None)
     again = noise.run(setting)
     assert again.report == outcome.report
     with pytest.raises(TypeError):

@@ -123,28 +123,32 @@ def run(setting: Setting) -> NoiseOutcome:
     """
     models = {name: load_model(model) for name, model in MODELS.items()}
     pairs = drawn_pairs(setting)[: _QUICK_PAIRS if setting.quick else _PAIRS]
-    grid = {CLEAN: (0.0,)} | {
-        name: kind.levels[1::2] if setting.quick else kind.levels
+    grid = [(CLEAN, 0.0)] + [
+        (name, level)
         for name, kind in PERTURBATIONS.items()
-    }
-    parts: dict[str, list[Arrays]] = {name: [] for name in grid}
+        for level in (kind.levels[1::2] if setting.quick else kind.levels)
+    ]
+    parts: dict[tuple[str, float], list[Arrays]] = {step: [] for step in grid}
     with setting.progress("matching disturbed shapes", len(pairs) * len(grid)) as went:
         for place, pair in enumerate(pairs):
-            measured = _measurement(setting, models, pair, seed=setting.seed + place)
-            for name, levels in grid.items():
-                parts[name].append(measured(name, levels))
+            matched = _matching(setting, models, pair, seed=setting.seed + place)
+            found = []
+            for name, level in grid:
+                found.append(matched(name, level))
                 went(1)
+            for part, arrays in zip(
+                parts.values(), _with_errors(setting, pair[1], found), strict=True
+            ):
+                part.append(arrays)
     maps = tuple(
-        _joined(parts[name], name, level, model, (i, j))
-        for name, levels in grid.items()
-        for i, level in enumerate(levels)
-        for j, model in enumerate(models)
+        _joined(several, name, level, model, place)
+        for (name, level), several in parts.items()
+        for place, model in enumerate(models)
     )
     first = pairs[0][0]
     shown = {
         (name, level): _disturbed(name, first.mesh(), level, seed=setting.seed)
-        for name, levels in grid.items()
-        for level in levels
+        for name, level in grid
     }
     return NoiseOutcome(maps, shown, first.correspondence(), _report(pairs, maps))
 
@@ -162,7 +166,7 @@ def _described(models: Mapping[str, Model], shape: Repaired, kept: Cache | None)
     return _Described(shape, pairs, embedded)
 
 
-def _matched(
+def _matches(
     models: Mapping[str, Model], source: _Described, target: _Described
 ) -> tuple[Correspondence, ...]:
     return tuple(
@@ -178,10 +182,10 @@ def _matched(
     )
 
 
-def _measurement(
+def _matching(
     setting: Setting, models: Mapping[str, Model], pair: tuple[Shape, Shape], *, seed: int
-) -> Callable[[str, Sequence[float]], Arrays]:
-    """A function that measures all levels of a noise on a pair, and keeps what it found."""
+) -> Callable[[str, float], Arrays]:
+    """A function that matches a pair at a level of a noise, and keeps what it found."""
     source, target = pair
     key, data = models_key(models), fingerprint(setting.testing)
 
@@ -189,68 +193,80 @@ def _measurement(
     def clean() -> _Described:
         return _described(models, repair(target.mesh()), setting.cache)
 
-    def measured(noise: str, levels: Sequence[float]) -> Arrays:
+    def matched(noise: str, level: float) -> Arrays:
         part = content_key(
             "noise",
             models=key,
             data=data,
             pair=[source.name, target.name],
             noise=noise,
-            levels=list(levels),
+            level=level,
             seed=seed,
         )
         return setting.store.computed(
-            part, lambda: _measured(models, pair, clean(), noise, levels, seed=seed)
+            part, lambda: _maps_of_pair(models, pair, clean(), noise, level, seed=seed)
         )
 
-    return measured
+    return matched
 
 
-def _measured(
+def _maps_of_pair(
     models: Mapping[str, Model],
     pair: tuple[Shape, Shape],
     clean: _Described,
     noise: str,
-    levels: Sequence[float],
+    level: float,
     *,
     seed: int,
 ) -> Arrays:
-    """What `NoisyMaps` holds of one pair, (levels, models, points) each."""
+    """What `NoisyMaps` holds of one pair, (models, points) each, with vertices for errors."""
     source, target = pair
-    mesh, there = target.mesh(), target.correspondence()
-    present, predicted, confidence, verdicts, reverse = [], [], [], [], []
-    for level in levels:
-        disturbed = _disturbed(noise, source.mesh(), level, seed=seed)
-        here = _followed(source.correspondence(), disturbed.vertex_index)
-        present.append(here >= 0)
-        rest = _described(models, repair(disturbed.mesh), None)
-        for found in _matched(models, rest, clean):
-            predicted.append(_followed(here, found.target_index))
-            confidence.append(_at(found.confidence, here))
-            verdicts.append(found.judgement.verdict if found.judgement else "")
-        if noise in PARTIAL:
-            back = _matched(models, clean, rest)
-            reverse += [_at(found.confidence, there) for found in back]
-        else:
-            reverse += [np.full(len(there), np.nan)] * len(models)
-    graph = geodesic_graph(mesh)
-    truths = [there] if target.symmetric is None else [there, target.symmetric()]
-    # all at once, so that each vertex is the source of distances only once
-    found_errors = geodesic_errors(
-        graph,
-        np.concatenate(predicted),
-        tuple(np.tile(truth, len(predicted)) for truth in truths),
-    )
-    diameter = geodesic_diameter(mesh, graph=graph)
-    shape = (len(levels), len(models), -1)
-    errors = {"errors": found_errors[0], "nearer": np.fmin.reduce(found_errors)}
+    there = target.correspondence()
+    disturbed = _disturbed(noise, source.mesh(), level, seed=seed)
+    here = _followed(source.correspondence(), disturbed.vertex_index)
+    rest = _described(models, repair(disturbed.mesh), None)
+    forth = _matches(models, rest, clean)
+    reverse = np.full((len(models), len(there)), np.nan)
+    if noise in PARTIAL:
+        reverse[:] = [_at(found.confidence, there) for found in _matches(models, clean, rest)]
     return {
-        **{name: (error / diameter).reshape(shape) for name, error in errors.items()},
-        "confidence": np.stack(confidence).reshape(shape),
-        "reverse": np.stack(reverse).reshape(shape),
-        "verdicts": np.array(verdicts).reshape(shape[:2]),
-        "present": np.stack(present),
+        "predicted": np.stack([_followed(here, found.target_index) for found in forth]),
+        "confidence": np.stack([_at(found.confidence, here) for found in forth]),
+        "verdicts": np.array(
+            [found.judgement.verdict if found.judgement else "" for found in forth]
+        ),
+        "reverse": reverse,
+        "present": here >= 0,
     }
+
+
+def _with_errors(setting: Setting, target: Shape, parts: Sequence[Arrays]) -> list[Arrays]:
+    """The parts of one pair with the errors of their maps as shares of the target's diameter."""
+    predicted = np.stack([part["predicted"] for part in parts])
+    truths = [target.correspondence()]
+    if target.symmetric is not None:
+        truths.append(target.symmetric())
+
+    def compute() -> Arrays:
+        # all at once, so that each vertex is the source of distances only once
+        graph = geodesic_graph(target.mesh())
+        found = geodesic_errors(
+            graph,
+            predicted.ravel(),
+            tuple(np.tile(truth, predicted[..., 0].size) for truth in truths),
+        )
+        diameter = geodesic_diameter(target.mesh(), graph=graph)
+        errors = {"errors": found[0], "nearer": np.fmin.reduce(found)}
+        return {name: (error / diameter).reshape(predicted.shape) for name, error in errors.items()}
+
+    key = content_key(
+        "noise-errors", predicted, *truths, data=fingerprint(setting.testing), target=target.name
+    )
+    found = setting.store.computed(key, compute)
+    return [
+        {**part, "errors": errors, "nearer": nearer}
+        for part, errors, nearer in zip(parts, found["errors"], found["nearer"], strict=True)
+    ]
 
 
 def _followed(index: IntArray, next_index: IntArray) -> IntArray:
@@ -263,19 +279,17 @@ def _at(values: FloatArray, index: IntArray) -> FloatArray:
     return np.where(index >= 0, values[index], np.nan)
 
 
-def _joined(
-    parts: Sequence[Arrays], noise: str, level: float, model: str, at: tuple[int, int]
-) -> NoisyMaps:
+def _joined(parts: Sequence[Arrays], noise: str, level: float, model: str, place: int) -> NoisyMaps:
     arrays = {
-        name: np.stack([part[name][at] for part in parts])
+        name: np.stack([part[name][place] for part in parts])
         for name in ("errors", "nearer", "confidence", "reverse")
     }
     return NoisyMaps(
         noise,
         level,
         model,
-        verdicts=tuple(str(part["verdicts"][at]) for part in parts),
-        present=np.stack([part["present"][at[0]] for part in parts]),
+        verdicts=tuple(str(part["verdicts"][place]) for part in parts),
+        present=np.stack([part["present"] for part in parts]),
         **arrays,
     )
 
