@@ -40,7 +40,7 @@ THRESHOLDS = np.linspace(0, 1, 101)
 """Of the confidence above which a vertex is said to have a counterpart."""
 
 _PAIRS = 8
-_QUICK_PAIRS = 2
+_QUICK_PAIRS = 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
