@@ -56,8 +56,8 @@ def _errors(outcome: NoiseOutcome) -> Figure:
             )
         axes.set_title(noise, fontsize=9)
         axes.set_xlabel(kind.unit, fontsize=8)
-        axes.set_ylim(bottom=0)
         axes.grid(alpha=0.3)
+    panels[0].set_ylim(bottom=0)
     panels[0].set_ylabel("mean error, % of the diameter", fontsize=8)
     panels[0].legend(fontsize=7)
     return figure
