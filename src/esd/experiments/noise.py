@@ -335,10 +335,10 @@ def _report(pairs: Sequence[tuple[Shape, Shape]], maps: Sequence[NoisyMaps]) -> 
         "Noise in position and connectivity, and missing parts",
         (
             "Disturbed shapes are mapped to clean ones of other subjects; pairs at each level: "
-            f"{len(pairs)}. Errors are shares of the target's geodesic diameter, to the nearer of the "
-            "true and the mirrored vertex where that is known: HKS and its embedding cannot tell "
-            "them apart. The paper names neither levels nor figures; by its text HKS deteriorates "
-            "significantly with noise, while its embedding remains quite robust.",
+            f"{len(pairs)}. Errors are shares of the target's geodesic diameter, to the nearer of "
+            "the true and the mirrored vertex where that is known: HKS and its embedding cannot "
+            "tell them apart. The paper names neither levels nor figures; by its text HKS "
+            "deteriorates significantly with noise, while its embedding remains quite robust.",
             "\n".join(_growth(maps, noise) for noise in PERTURBATIONS),
         ),
         (
