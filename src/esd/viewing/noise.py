@@ -101,8 +101,9 @@ def _counterparts(outcome: NoiseOutcome) -> Figure:
             axes.set_title(f"{model}, {noise}", fontsize=8)
             axes.set(xlim=(0, 101), ylim=(40, 101))
             axes.grid(alpha=0.3)
+            if model == next(iter(MODELS)):
+                axes.legend(fontsize=6, loc="lower left", title="level", title_fontsize=6)
         row[0].set_ylabel("precision, %", fontsize=8)
-        row[0].legend(fontsize=6, loc="lower left", title="level", title_fontsize=6)
     for axes in panels[-1]:
         axes.set_xlabel("recall, %", fontsize=8)
     return figure
