@@ -257,7 +257,11 @@ def _with_errors(setting: Setting, target: Shape, parts: Sequence[Arrays]) -> li
         )
         diameter = geodesic_diameter(target.mesh(), graph=graph)
         errors = {"errors": found[0], "nearer": np.fmin.reduce(found)}
-        return {name: (error / diameter).reshape(predicted.shape) for name, error in errors.items()}
+        # on another piece, infinitely far
+        return {
+            name: np.minimum(error / diameter, 1).reshape(predicted.shape)
+            for name, error in errors.items()
+        }
 
     key = content_key(
         "noise-errors", predicted, *truths, data=fingerprint(setting.testing), target=target.name
