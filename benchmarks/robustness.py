@@ -196,6 +196,7 @@ ALTERATIONS: dict[str, Alter] = {
     "triangles: fine, 15,000": with_triangles(
         lambda mesh: remesh(mesh, 15_000, style="even", seed=0).mesh
     ),
+    "triangles: dense, 20,000 (each in four)": with_triangles(subdivide),
     "triangles: long, 5,000 (library)": with_triangles(stretched),
     "triangles: by curvature, 3,000 (library)": with_triangles(lambda mesh: decimated(mesh, 3000)),
 }
