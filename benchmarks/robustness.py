@@ -282,13 +282,13 @@ def main() -> None:
     parser.add_argument("dataset")
     parser.add_argument("include")
     parser.add_argument("--output", "-o", type=Path, required=True)
-    parser.add_argument("--only", default="", help="alterations whose name begins so, by commas")
+    parser.add_argument("--only", nargs="+", default=[""], help="alterations that begin so")
     parser.add_argument("--shapes", type=int, help="so many of them, spread evenly")
     options = parser.parse_args()
     model = load_model(options.model)
     pairs = list(neighbours(open_collection(options.dataset).including(options.include)))
     pairs = pairs[:: max(1, len(pairs) // (options.shapes or len(pairs)))][: options.shapes]
-    wanted = [name for name in ALTERATIONS if name.startswith((FIRST, *options.only.split(",")))]
+    wanted = [name for name in ALTERATIONS if name.startswith((FIRST, *options.only))]
     if not options.output.exists():
         options.output.write_text(",".join(HEADER) + "\n")
     for source, target in pairs:

@@ -62,7 +62,7 @@ def left_over(folder: Path) -> list[Path]:
 
 
 def wait_for(path: Path, process: subprocess.Popen) -> None:
-    for _ in range(2400):
+    for _ in range(12_000):
         if path.exists():
             return
         assert process.poll() is None, "the command ended by itself"
