@@ -133,3 +133,10 @@ def test_broken_meshes_are_evaluated_as_they_are_matched(blob):
     model = load_model("default")
     result, _ = evaluate(model, [(whole, broken)])
     assert result.mean_geodesic_error_x100 < 0.5
+
+
+def test_two_shapes_of_one_name_are_refused(blob, model):
+    index = np.arange(len(blob.vertices))
+    source, target = (Shape("a", "s", "t", lambda: blob, lambda: index) for _ in range(2))
+    with pytest.raises(InputError, match="Two different shapes are called 'a'"):
+        evaluate(model, [(source, target)])

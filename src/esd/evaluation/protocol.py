@@ -131,12 +131,16 @@ def evaluate(
     Raises
     ------
     InputError
-        If a shape cannot be read, or rejection is asked of a model without a margin.
+        If a shape cannot be read, two have one name, or rejection is asked of a model without a
+        margin.
     """
     threshold = model.threshold() if reject else np.inf
     refine = model.is_oriented if refine is None else refine
     start = time.perf_counter()
     shapes = {shape.name: shape for pair in pairs for shape in pair}
+    for shape in (shape for pair in pairs for shape in pair):
+        if shape is not shapes[shape.name]:
+            raise InputError(f"Two different shapes are called '{shape.name}'; rename one.")
     embedded = {name: _embedded(model, shape, cache) for name, shape in shapes.items()}
     sources: dict[str, list[_Embedded]] = {}
     for source, target in pairs:
