@@ -1,3 +1,4 @@
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -34,12 +35,12 @@ def folder(tmp_path, blob) -> Path:
 def test_a_batch_gives_the_maps_of_its_pairs_and_describes_each_shape_once(folder, monkeypatch):
     pairs = read_pairs_of_files(folder / "pairs.csv", folder=folder)
     computed, steps = [], []
-    compute = batch.recipe_spectrum
-    monkeypatch.setattr(
-        batch, "recipe_spectrum", lambda *a, **k: computed.append(1) or compute(*a, **k)
-    )
+    for name in ("repair", "describe"):
+        compute = getattr(batch, name)
+        counted = partial(lambda f, *a, **k: computed.append(f) or f(*a, **k), compute)
+        monkeypatch.setattr(batch, name, counted)
     done = list(match_files(pairs, model=MODEL, workers=1, on_step=lambda: steps.append(1)))
-    assert len(computed) == 3
+    assert len(computed) == 4 + 3  # one cannot be read
     assert len(steps) == 4 + 4
     failed = [each for each in done if each.failure]
     assert [each.pair.target.name for each in failed] == ["bad.off"]
@@ -72,3 +73,15 @@ def test_bad_lists_of_pairs_are_refused(tmp_path, text, message):
         read_pairs_of_files(tmp_path / "p.csv")
     with pytest.raises(InputError, match="There is no file"):
         read_pairs_of_files(tmp_path / "q.csv")
+
+
+def test_a_batch_by_way_of_coarse_copies_gives_the_maps_of_its_pairs(folder):
+    pairs = read_pairs_of_files(folder / "pairs.csv", folder=folder)[:1]
+    (done,) = match_files(pairs, model=MODEL, coarse=300, workers=1)
+    single = match(pairs[0].source, pairs[0].target, model=MODEL, coarse=300)
+    count = len(single.target_index)
+    found = load_map(pairs[0].output, source_count=count, target_count=count)
+    np.testing.assert_array_equal(found.target_index, single.target_index)
+    assert done.matched == count == 512
+    with pytest.raises(InputError, match="are not one-to-one"):
+        list(match_files(pairs, model=MODEL, coarse=300, one_to_one=True))

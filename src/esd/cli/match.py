@@ -59,6 +59,16 @@ def match(
         bool,
         typer.Option("--one-to-one", help="Match no target vertex twice; some source ones not."),
     ] = False,
+    coarse: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            min=300,
+            help="For dense meshes: match copies of about N vertices, such as 10000, and carry "
+            "the map to all.",
+            show_default=False,
+        ),
+    ] = None,
     view: Annotated[
         bool,
         typer.Option("--view", help="Also write a page that shows the map, and open it."),
@@ -95,7 +105,8 @@ def match(
         if source or view:
             raise typer.BadParameter("--batch takes neither SOURCE and TARGET nor --view.")
         options: dict[str, Any] = {"refine": refine, "reject": reject}
-        options |= {"one_to_one": one_to_one, "everything": repair, "workers": workers}
+        options |= {"one_to_one": one_to_one, "everything": repair, "coarse": coarse}
+        options["workers"] = workers
         _match_batch(batch, output, model, as_json=as_json, force=force, **options)
         return
     if source is None or target is None:
@@ -110,7 +121,9 @@ def match(
         drawn = usable_part(source), usable_part(target)
     loaded = load_model(model)
     shapes = repaired(source, everything=repair), repaired(target, everything=repair)
-    result = match_meshes(*shapes, model=loaded, refine=refine, one_to_one=one_to_one)
+    result = match_meshes(
+        *shapes, model=loaded, refine=refine, one_to_one=one_to_one, coarse=coarse
+    )
     if reject:
         result = result.rejecting(loaded.threshold())
     save_map(result, path)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from enum import Enum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -31,6 +31,14 @@ def spectrum(
     laplacian: Annotated[
         Operator, typer.Option(help="Cotangent, or robust for meshes with slivers.")
     ] = Operator.cotangent,
+    coarse: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            help="For dense meshes: about the eigenpairs, by those of a copy of about N vertices.",
+            show_default=False,
+        ),
+    ] = None,
     force: ForceOption = False,
 ) -> None:
     """Write the smallest Laplace-Beltrami eigenpairs of MESH, for unit surface area.
@@ -40,12 +48,17 @@ def spectrum(
     """
     from esd.mesh.doctor import repair
     from esd.spectral.cache import default_cache
+    from esd.spectral.coarse import coarse_spectrum
     from esd.spectral.spectrum import check_spectrum_path, save_spectrum
     from esd.spectral.spectrum import spectrum as compute
 
     path = free_path(check_spectrum_path(output or Path(f"{mesh.stem}-spectrum.npz")), force=force)
     shape = repair(mesh, all_pieces=True)
-    pairs = compute(shape.shape, k, kind=laplacian.value, cache=default_cache())
+    options: dict[str, Any] = {"kind": laplacian.value, "cache": default_cache()}
+    if coarse is None:
+        pairs = compute(shape.shape, k, **options)
+    else:
+        pairs = coarse_spectrum(shape.shape, k, vertex_count=coarse, **options)
     pairs = pairs.carried(shape.vertex_index)
     tell_findings(mesh, shape)
     save_spectrum(pairs, path)

@@ -12,15 +12,14 @@ from pathlib import Path
 
 import numpy as np
 
-from esd.common import FloatArray, InputError
-from esd.descriptors.recipe import recipe_spectrum
+from esd.common import InputError
 from esd.learning.model import Model
-from esd.matching.correspondence import Correspondence, check_map_path, save_map
-from esd.matching.match import match_described
-from esd.mesh.doctor import Repaired, repair
+from esd.matching.correspondence import check_map_path, save_map
+from esd.matching.described import describe, keep, kept
+from esd.matching.match import check_copies, match_described
+from esd.mesh.doctor import repair
 from esd.parallel import outcomes
 from esd.spectral.cache import default_cache
-from esd.spectral.spectrum import Spectrum
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,13 +113,14 @@ def match_files(
     one_to_one: bool = False,
     reject: bool = False,
     everything: bool = False,
+    coarse: int | None = None,
     workers: int | None = None,
     on_step: Callable[[], None] = lambda: None,
 ) -> Iterator[MatchedPair]:
     """Match pairs of files in several processes and write their maps, as by `match`.
 
-    First the spectrum and the embedding of each shape are computed, once, and kept on disk
-    meanwhile; then the pairs are matched. What fails keeps none of the others back.
+    First each shape is read, repaired and described, once, and kept on disk meanwhile; then the
+    pairs are matched. What fails keeps none of the others back.
 
     Parameters
     ----------
@@ -128,18 +128,21 @@ def match_files(
         Whether matches beyond the model's threshold are dropped.
     everything
         See `esd.mesh.doctor.repair`.
+    coarse
+        See `match`.
     workers
         See `esd.parallel.outcomes`.
     on_step
         Called after each shape and after each pair, to show progress.
     """
+    check_copies(one_to_one=one_to_one, coarse=coarse)
     threshold = model.threshold() if reject else np.inf
     files = list(dict.fromkeys(file for pair in pairs for file in (pair.source, pair.target)))
     with tempfile.TemporaryDirectory(prefix="esd-") as name:
         places = {file: Path(name) / str(number) for number, file in enumerate(files)}
-        describe = partial(_describe, places=places, model=model, everything=everything)
+        first = partial(_describe, places=places, model=model, everything=everything, coarse=coarse)
         failures = {}
-        for described in outcomes(describe, files, workers=workers):
+        for described in outcomes(first, files, workers=workers):
             if described.failure:
                 failures[described.job] = f"'{described.job}': {described.failure}"
             on_step()
@@ -158,40 +161,23 @@ def match_files(
             refine=refine,
             one_to_one=one_to_one,
             threshold=threshold,
-            everything=everything,
         )
         for matched in outcomes(work, sound, workers=workers):
             on_step()
             yield matched.result or MatchedPair(matched.job, failure=matched.failure)
 
 
-def _describe(file: Path, *, places: dict[Path, Path], model: Model, everything: bool) -> None:
-    """Compute the spectrum and the embedding of a shape, and put them in a folder."""
-    shape = repair(file, everything=everything).shape
-    pairs = recipe_spectrum(model.recipe, shape, cache=default_cache())
-    folder = places[file]
-    folder.mkdir()
-    arrays = {
-        "eigenvalues": pairs.eigenvalues,
-        "eigenvectors": pairs.eigenvectors,
-        "mass": pairs.mass,
-        "zero_modes": np.array(pairs.zero_modes),
-        "embedded": model.embed_spectrum(shape, pairs, cache=default_cache()),
-    }
-    for name, array in arrays.items():
-        np.save(folder / f"{name}.npy", array, allow_pickle=False)
-
-
-def _described(folder: Path) -> tuple[Spectrum, FloatArray]:
-    """What `_describe` wrote; large arrays are mapped, so that processes share them."""
-
-    def array(name: str) -> FloatArray:
-        return np.load(folder / f"{name}.npy", mmap_mode="r", allow_pickle=False)
-
-    pairs = Spectrum(
-        array("eigenvalues"), array("eigenvectors"), array("mass"), int(array("zero_modes"))
-    )
-    return pairs, array("embedded")
+def _describe(
+    file: Path,
+    *,
+    places: dict[Path, Path],
+    model: Model,
+    everything: bool,
+    coarse: int | None,
+) -> None:
+    """Compute all that matching takes of a shape, and put it in a folder."""
+    shape = repair(file, everything=everything)
+    keep(describe(shape, model=model, coarse=coarse, cache=default_cache()), places[file])
 
 
 def _match(
@@ -202,29 +188,17 @@ def _match(
     refine: bool | None,
     one_to_one: bool,
     threshold: float,
-    everything: bool,
 ) -> MatchedPair:
-    shapes: list[Repaired] = []
-    spectra, embedded = [], []
-    for file in (pair.source, pair.target):
-        shapes.append(repair(file, everything=everything))
-        spectrum, values = _described(places[file])
-        spectra.append(spectrum)
-        embedded.append(values)
-    found: Correspondence = match_described(
-        (shapes[0], shapes[1]),
-        (spectra[0], spectra[1]),
-        (embedded[0], embedded[1]),
-        model=model,
-        refine=refine,
-        one_to_one=one_to_one,
+    source, target = kept(places[pair.source]), kept(places[pair.target])
+    found = match_described(
+        source, target, model=model, refine=refine, one_to_one=one_to_one
     ).rejecting(threshold)
     save_map(found, pair.output)
     judged = found.judgement
     return MatchedPair(
         pair,
         int(found.is_matched().sum()),
-        found.coverage(len(shapes[1].vertex_index)),
+        found.coverage(len(target.vertex_index)),
         judged.verdict if judged else None,
         judged.expected_accuracy if judged else None,
     )

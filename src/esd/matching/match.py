@@ -9,16 +9,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from esd.common import FloatArray
-from esd.descriptors.recipe import recipe_spectrum
+from esd.common import FloatArray, InputError
 from esd.learning.model import Model, load_model
 from esd.matching.assignment import one_to_one as assignment
 from esd.matching.confidence import confidence, judgement
 from esd.matching.correspondence import Correspondence
+from esd.matching.described import Described, describe
 from esd.matching.nearest import nearest
 from esd.matching.refine import SIZES, joint_rows, mean_squared_distance, zoomout
 from esd.mesh.doctor import Repaired, repair
-from esd.mesh.mesh import MeshLike, PointCloud
+from esd.mesh.mesh import Mesh, MeshLike, PointCloud
 from esd.spectral.cache import Cache, default_cache
 from esd.spectral.spectrum import Spectrum
 
@@ -26,6 +26,9 @@ _log = logging.getLogger(__name__)
 
 DEFAULT_MODEL = "default"
 """Name of the model that is used where none is given."""
+
+DENSE = 50_000
+"""Number of vertices beyond which a map by way of coarse copies is advised."""
 
 _BACK_SIZES = (60, 160)  # of the map back, which only serves to judge the map
 
@@ -37,6 +40,7 @@ def match(
     model: Model | str | os.PathLike[str] = DEFAULT_MODEL,
     refine: bool | None = None,
     one_to_one: bool = False,
+    coarse: int | None = None,
     cache: Cache | None = None,
 ) -> Correspondence:
     """The target vertex that corresponds to each source vertex, how surely, and a judgement.
@@ -53,29 +57,33 @@ def match(
         Whether the map is refined by `zoomout`; by default if the model tells left from right.
     one_to_one
         Whether no target vertex may be matched twice; source vertices are then left out.
+    coarse
+        For dense meshes: number of vertices of the copies, remeshed, that are matched in their
+        place; the map is carried to all vertices, see `esd.matching.dense`. Ten thousand do.
     cache
-        Where spectra are looked up and kept; the user's cache by default.
+        Where spectra and coarse copies are looked up and kept; the user's cache by default.
 
     Raises
     ------
     InputError
         If a mesh or the model cannot be used.
     """
+    check_copies(one_to_one=one_to_one, coarse=coarse)
     model = model if isinstance(model, Model) else load_model(model)
     cache = default_cache() if cache is None else cache
     shapes = repair(source), repair(target)
-    spectra = [recipe_spectrum(model.recipe, each.shape, cache=cache) for each in shapes]
-    embedded = [
-        model.embed_spectrum(each.shape, pairs, cache=cache)
-        for each, pairs in zip(shapes, spectra, strict=True)
-    ]
+    for name, each in zip(("source", "target"), shapes, strict=True):
+        count = len(each.shape.vertices)
+        if coarse is None and count > DENSE and isinstance(each.shape, Mesh):
+            _log.warning(
+                "The %s has %d vertices: by way of coarse copies (--coarse 10000) the map would "
+                "be about as good, in a fraction of the time and memory.",
+                name,
+                count,
+            )
+    described = [describe(each, model=model, coarse=coarse, cache=cache) for each in shapes]
     found = match_described(
-        shapes,
-        (spectra[0], spectra[1]),
-        (embedded[0], embedded[1]),
-        model=model,
-        refine=refine,
-        one_to_one=one_to_one,
+        described[0], described[1], model=model, refine=refine, one_to_one=one_to_one
     )
     for name, each in zip(("source", "target"), shapes, strict=True):
         if each.in_a_line():
@@ -83,17 +91,23 @@ def match(
     return found
 
 
+def check_copies(*, one_to_one: bool, coarse: int | None) -> None:
+    """Raise an `InputError` if a map by way of coarse copies is to be one-to-one."""
+    if one_to_one and coarse is not None:
+        raise InputError("Maps by way of coarse copies are not one-to-one; leave out one of both.")
+
+
 def match_described(
-    shapes: tuple[Repaired, Repaired],
-    spectra: tuple[Spectrum, Spectrum],
-    embedded: tuple[FloatArray, FloatArray],
+    source: Described,
+    target: Described,
     *,
     model: Model,
     refine: bool | None,
     one_to_one: bool,
 ) -> Correspondence:
-    """As `match`, of a source and a target with their spectra and embeddings by the model."""
+    """As `match`, of a source and a target that were described by the model."""
     refine = model.is_oriented if refine is None else refine
+    embedded, spectra = (source.embedded, target.embedded), (source.spectrum, target.spectrum)
     found = match_embedded(
         *embedded,
         margin=model.margin,
@@ -103,33 +117,42 @@ def match_described(
     back = match_embedded(
         *embedded[::-1],
         margin=model.margin,
-        spectra=(spectra[1], spectra[0]) if refine else None,
+        spectra=spectra[::-1] if refine else None,
         sizes=_BACK_SIZES,
     )
-    found = _judged(found, back, *shapes)
-    return for_original_vertices(found, *shapes)
+    found = _judged(found, back, source, target)
+    if source.copy is not None and target.copy is not None:
+        from esd.matching.dense import carried_to_dense  # with trimesh, which is slow to import
+        from esd.matching.precise import precise_map
+
+        rows = embedded
+        if refine:
+            size = min(len(pairs.eigenvalues) for pairs in spectra)
+            rows = joint_rows(*spectra, found.target_index, size=size, embeddings=embedded)
+        image = precise_map(*rows, target.copy.mesh.faces, found.target_index)
+        found = carried_to_dense(found, image, source.copy, target.copy)
+    return _for_original_vertices(found, source, target)
 
 
 def _judged(
-    match: Correspondence, back: Correspondence, source: Repaired, target: Repaired
+    match: Correspondence, back: Correspondence, source: Described, target: Described
 ) -> Correspondence:
     """The map with its confidence and a judgement; points without faces give no evidence."""
     if isinstance(source.shape, PointCloud) or isinstance(target.shape, PointCloud):
         return match
     values = confidence(source.shape, target.shape, match.target_index, back.target_index)
-    turned = ["inside_out_pieces" in each.done for each in (source, target)]
     verdict = judgement(
         source.shape,
         target.shape,
         match.target_index,
         values,
-        turned_over=turned[0] != turned[1],
+        turned_over=source.is_turned != target.is_turned,
     )
     return replace(match, confidence=values, judgement=verdict)
 
 
-def for_original_vertices(
-    match: Correspondence, source: Repaired, target: Repaired
+def _for_original_vertices(
+    match: Correspondence, source: Described, target: Described
 ) -> Correspondence:
     """The map between the original vertices, of one between repaired shapes."""
     index = match.target_index[source.vertex_index]

@@ -42,6 +42,7 @@ DENSEST = 4.0  # times shorter, or longer, than usual that edges may be
 REPAIRS = 60  # rounds of adding sites; three are usual
 POOR = 0.05  # quality of a triangle, 1 if equilateral, below which its corners are moved
 MENDING = 4  # rounds of moving them
+WALK = 3  # vertices further on that the place nearest to a point may lie
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,9 +193,14 @@ def _refined(mesh: Mesh, longest: float) -> _Fine:
         vertices = np.vstack([vertices, vertices[pairs[long]].mean(axis=1)])
         faces, parent = _split(vertices, faces, middle, parent)
     fine = Mesh(vertices, faces)
+    normals = vertex_normals(fine)
+    return _Fine(fine, parent, normals, pairs, _rim(pairs, side), _faces_around(faces))
+
+
+def _faces_around(faces: IntArray) -> sparse.csr_array:
+    """Faces of each vertex, as the columns of its row."""
     corners = (np.arange(3 * len(faces)) // 3, faces.ravel())
-    around = sparse.coo_array((np.ones(3 * len(faces)), corners[::-1])).tocsr()
-    return _Fine(fine, parent, vertex_normals(fine), pairs, _rim(pairs, side), around)
+    return sparse.coo_array((np.ones(3 * len(faces)), corners[::-1])).tocsr()
 
 
 def _edges_and_sides(faces: IntArray, vertex_count: int) -> tuple[IntArray, IntArray]:
@@ -463,7 +469,7 @@ class _Motion:
     def nearest_place(self, points: FloatArray, normals: FloatArray) -> _Place:
         """Nearest place to each point on the faces around the nearest vertex."""
         vertex = self.tree.query(np.hstack([points, self.reach * normals]))[1]
-        return _nearest_place(self.fine, points, vertex)
+        return _Place(*_nearest_place(self.fine.mesh, self.fine.around, points, vertex))
 
 
 def _relaxed(
@@ -520,15 +526,40 @@ def _middles(vertices: npt.NDArray[np.float64], faces: IntArray, density: FloatA
     return np.asarray(np.stack(sums, axis=1) / np.where(total > 0, total, 1)[:, None])
 
 
-def _nearest_place(fine: _Fine, points: FloatArray, vertex: IntArray) -> _Place:
-    """Nearest place to each point on the faces around a vertex of the refinement."""
-    first, last = fine.around.indptr[vertex], fine.around.indptr[vertex + 1]
+def nearest_place(mesh: Mesh, points: FloatArray, vertex: IntArray) -> tuple[IntArray, FloatArray]:
+    """Face (p,) and barycentric coordinates (p, 3) of the place nearest to each point.
+
+    It is looked for among the faces at a vertex, and goes on to those at another corner as long as
+    the place lies opposite to the vertex.
+
+    Parameters
+    ----------
+    points : (p, 3)
+    vertex : (p,)
+        Vertex of the mesh, with a face, near each point.
+    """
+    around = _faces_around(mesh.faces)
+    face, barycentric = _nearest_place(mesh, around, points, vertex)
+    moving, start = np.arange(len(points)), vertex
+    for _ in range(WALK):
+        corners = mesh.faces[face[moving]]
+        opposite = (barycentric[moving] * (corners == start[:, None])).sum(axis=1) == 0
+        nearest = barycentric[moving].argmax(axis=1)
+        moving, start = moving[opposite], corners[opposite, nearest[opposite]]
+        face[moving], barycentric[moving] = _nearest_place(mesh, around, points[moving], start)
+    return face, barycentric
+
+
+def _nearest_place(
+    mesh: Mesh, around: sparse.csr_array, points: FloatArray, vertex: IntArray
+) -> tuple[IntArray, FloatArray]:
+    first, last = around.indptr[vertex], around.indptr[vertex + 1]
     face = np.empty(len(points), dtype=np.int64)
     barycentric = np.zeros((len(points), 3))
     least = np.full(len(points), np.inf)
-    for turn in range(int((last - first).max())):
-        candidate = fine.around.indices[np.minimum(first + turn, last - 1)]
-        triangle = fine.mesh.vertices[fine.mesh.faces[candidate]]
+    for turn in range(int((last - first).max(initial=0))):
+        candidate = around.indices[np.minimum(first + turn, last - 1)]
+        triangle = mesh.vertices[mesh.faces[candidate]]
         weights = nearest_in_triangle(points, triangle)
         gap = ((np.einsum("ni,nik->nk", weights, triangle) - points) ** 2).sum(axis=1)
         closer = gap < least
@@ -537,7 +568,7 @@ def _nearest_place(fine: _Fine, points: FloatArray, vertex: IntArray) -> _Place:
             weights[closer],
             gap[closer],
         )
-    return _Place(face, barycentric)
+    return face, barycentric
 
 
 def barycentric_coordinates(points: FloatArray, triangles: FloatArray) -> FloatArray:

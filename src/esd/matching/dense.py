@@ -1,0 +1,68 @@
+"""Maps between dense meshes by way of coarse copies of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from esd.common import FloatArray
+from esd.matching.correspondence import Correspondence
+from esd.matching.transfer import Places, carried_values
+from esd.mesh.mesh import surface_area, vertex_normals
+from esd.spectral.coarse import CoarseCopy
+
+_TORN = 5.0  # times its own size, beyond which the image of a face lies across a tear of the map
+
+
+def carried_to_dense(
+    match: Correspondence,
+    image: Places,
+    source: CoarseCopy,
+    target: CoarseCopy,
+) -> Correspondence:
+    """The map between dense meshes that a map between their copies gives.
+
+    A vertex of the dense source lies in a face of its copy. The images of the corners of that face
+    are interpolated, and the dense target vertex nearest to there, in place and normal, is its
+    match. Where the map is torn at that face, the image of the nearest corner is taken.
+
+    Parameters
+    ----------
+    match
+        From the source's copy to the target's; its distances and confidences are interpolated.
+    image
+        The same map, to points of the target's copy.
+    """
+    # nearness in position and normal keeps matches on their side of a finger
+    reach = np.sqrt(surface_area(target.mesh) / len(target.mesh.vertices))
+    oriented = np.hstack([target.mesh.vertices, reach * vertex_normals(target.mesh)])
+    there = carried_values(oriented, target.mesh, image)
+    source = _not_across_tears(source, there, surface_area(target.mesh))
+    known, reached = (np.flatnonzero(copy.face >= 0) for copy in (source, target))
+    candidates = target.carried(oriented)[reached]
+    candidates[:, :3] = target.vertices[reached]
+    index = np.full(len(source.face), -1, dtype=np.int64)
+    sought = source.carried(there)[known]
+    index[known] = reached[KDTree(candidates).query(sought, workers=-1)[1]]
+    distance, confidence = (source.carried(x) for x in (match.distance, match.confidence))
+    return Correspondence(
+        index,
+        np.where(index >= 0, distance, np.inf),
+        np.where(index >= 0, confidence, 0.0),
+        match.judgement,
+    )
+
+
+def _not_across_tears(source: CoarseCopy, there: FloatArray, area: float) -> CoarseCopy:
+    """The copy with dense vertices moved to a corner of their face where its image is torn."""
+    faces = source.mesh.faces
+    size, stretched = (
+        np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+        for corners in (source.mesh.vertices[faces], there[faces, :3])
+    )
+    scale = np.sqrt(area / surface_area(source.mesh))
+    torn = (stretched > _TORN * scale * size)[source.face, None]
+    corner = np.eye(3)[np.nan_to_num(source.barycentric).argmax(axis=1)]
+    return replace(source, barycentric=np.where(torn, corner, source.barycentric))

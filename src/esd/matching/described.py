@@ -1,0 +1,128 @@
+"""All that matching takes of a shape, computed once, and kept in a folder for other processes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from esd.common import FloatArray, IntArray
+from esd.descriptors.recipe import recipe_spectrum
+from esd.learning.model import Model
+from esd.mesh.doctor import Repaired
+from esd.mesh.mesh import Mesh, PointCloud
+from esd.spectral.cache import Cache
+from esd.spectral.coarse import CoarseCopy, coarse_copy
+from esd.spectral.spectrum import Spectrum
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Described:
+    """A shape with its spectrum and embedding.
+
+    Parameters
+    ----------
+    shape
+        Repaired, or a coarse copy of that.
+    spectrum
+        Of the shape.
+    embedded : (r, d)
+        Embedding of its vertices.
+    is_turned
+        Whether its faces were turned outward by the repair.
+    vertex_index, original_index : (n,) and (r,)
+        The vertex of the shape of each of the n original ones, and back, see
+        `esd.mesh.doctor.Repaired`. Where the shape is a coarse copy: of the repaired mesh.
+    copy
+        Where the vertices of the repaired mesh lie on the coarse copy, if the shape is one.
+    """
+
+    shape: Mesh | PointCloud
+    spectrum: Spectrum
+    embedded: FloatArray
+    is_turned: bool
+    vertex_index: IntArray
+    original_index: IntArray
+    copy: CoarseCopy | None = None
+
+
+def describe(
+    repaired: Repaired, *, model: Model, coarse: int | None = None, cache: Cache | None = None
+) -> Described:
+    """The spectrum and the embedding of a shape, or of its coarse copy.
+
+    Parameters
+    ----------
+    coarse
+        Number of vertices of the copy, see `esd.spectral.coarse.coarse_copy`.
+
+    Raises
+    ------
+    InputError
+        If the shape has no such copy, or cannot be described.
+    """
+    copy = None if coarse is None else coarse_copy(repaired.shape, coarse, cache=cache)
+    shape = repaired.shape if copy is None else copy.mesh
+    pairs = recipe_spectrum(model.recipe, shape, cache=cache)
+    return Described(
+        shape,
+        pairs,
+        model.embed_spectrum(shape, pairs, cache=cache),
+        "inside_out_pieces" in repaired.done,
+        repaired.vertex_index,
+        repaired.original_index,
+        copy,
+    )
+
+
+def keep(described: Described, folder: Path) -> None:
+    """Write to a new folder what `kept` reads."""
+    pairs, copy = described.spectrum, described.copy
+    arrays = {
+        "vertices": described.shape.vertices,
+        "eigenvalues": pairs.eigenvalues,
+        "eigenvectors": pairs.eigenvectors,
+        "mass": pairs.mass,
+        "zero_modes": np.array(pairs.zero_modes),
+        "embedded": described.embedded,
+        "is_turned": np.array(described.is_turned),
+        "vertex_index": described.vertex_index,
+        "original_index": described.original_index,
+    }
+    if isinstance(described.shape, Mesh):
+        arrays["faces"] = described.shape.faces
+    if copy is not None:
+        arrays |= {
+            "dense": copy.vertices,
+            "face": copy.face,
+            "barycentric": copy.barycentric,
+        }
+    folder.mkdir()
+    for name, array in arrays.items():
+        np.save(folder / f"{name}.npy", array, allow_pickle=False)
+
+
+def kept(folder: Path) -> Described:
+    """What `keep` wrote; arrays are mapped, so that processes share them."""
+    arrays = {
+        path.stem: np.load(path, mmap_mode="r", allow_pickle=False) for path in folder.glob("*.npy")
+    }
+    shape: Mesh | PointCloud = PointCloud(arrays["vertices"])
+    if "faces" in arrays:
+        shape = Mesh(arrays["vertices"], arrays["faces"])
+    copy = None
+    if isinstance(shape, Mesh) and "face" in arrays:
+        copy = CoarseCopy(shape, arrays["dense"], arrays["face"], arrays["barycentric"])
+    pairs = Spectrum(
+        arrays["eigenvalues"], arrays["eigenvectors"], arrays["mass"], int(arrays["zero_modes"])
+    )
+    return Described(
+        shape,
+        pairs,
+        arrays["embedded"],
+        bool(arrays["is_turned"]),
+        arrays["vertex_index"],
+        arrays["original_index"],
+        copy,
+    )

@@ -1,0 +1,124 @@
+"""Coarse copies of dense meshes, and what they tell about these."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import linalg
+
+from esd.common import FloatArray, InputError, IntArray
+from esd.mesh.mesh import Mesh, PointCloud, is_referenced
+from esd.mesh.remesh import nearest_place, remesh
+from esd.spectral.cache import Arrays, Cache, content_key
+from esd.spectral.laplacian import LaplacianKind, lumped_mass
+from esd.spectral.spectrum import Spectrum, spectrum
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CoarseCopy:
+    """A mesh with fewer vertices on the same surface, and where the n dense ones lie on it.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        The copy.
+    vertices : (n, 3)
+        Of the dense mesh.
+    face : (n,)
+        Face of the copy nearest to each vertex of the dense mesh; -1 where that has no face.
+    barycentric : (n, 3)
+        Barycentric coordinates of the nearest point there; NaN for none.
+    """
+
+    mesh: Mesh
+    vertices: FloatArray
+    face: IntArray
+    barycentric: FloatArray
+
+    def carried(self, values: FloatArray) -> FloatArray:
+        """Values at the dense vertices, (n, …), of values at the copy's vertices; NaN for none."""
+        corners = self.mesh.faces[self.face]
+        result = np.zeros((len(self.face), *values.shape[1:]))
+        for corner in range(3):  # one after another, since all at once may not fit into memory
+            weight = self.barycentric[:, corner].reshape(-1, *[1] * (values.ndim - 1))
+            result += weight * values[corners[:, corner]]
+        return result
+
+
+def coarse_copy(
+    mesh: Mesh | PointCloud, vertex_count: int, *, cache: Cache | None = None
+) -> CoarseCopy:
+    """A copy of a mesh remeshed to about some number of vertices, equal for equal meshes.
+
+    A mesh that has no more is its own copy.
+
+    Parameters
+    ----------
+    cache
+        Where it is looked up and kept.
+
+    Raises
+    ------
+    InputError
+        If there are only points, the mesh is no oriented manifold, or the number is too small to
+        follow its surface.
+    """
+    if isinstance(mesh, PointCloud):
+        raise InputError("Points without faces have no coarse copy; leave them as they are.")
+    used = np.flatnonzero(is_referenced(mesh))
+    copy, near = mesh, np.arange(len(mesh.vertices))
+    if len(used) > vertex_count:
+
+        def compute() -> Arrays:
+            made = remesh(mesh, vertex_count, seed=0)
+            return {"vertices": made.mesh.vertices, "faces": made.mesh.faces, "near": made.nearest}
+
+        key = content_key("coarse", mesh.vertices, mesh.faces, count=vertex_count)
+        arrays = compute() if cache is None else cache.computed(key, compute)
+        copy, near = Mesh(arrays["vertices"], arrays["faces"]), arrays["near"]
+    face = np.full(len(mesh.vertices), -1, dtype=np.int64)
+    barycentric = np.full((len(face), 3), np.nan)
+    face[used], barycentric[used] = nearest_place(copy, mesh.vertices[used], near[used])
+    return CoarseCopy(copy, mesh.vertices, face, barycentric)
+
+
+def coarse_spectrum(
+    mesh: Mesh | PointCloud,
+    k: int = 300,
+    *,
+    vertex_count: int,
+    kind: LaplacianKind = "cotangent",
+    cache: Cache | None = None,
+) -> Spectrum:
+    """About the k smallest eigenpairs of a dense mesh, for unit surface area: those of a copy.
+
+    The eigenvalues are the copy's; its eigenvectors are interpolated, and made orthonormal in the
+    mass of the dense mesh. See docs/eigensolver.md for how far they are off.
+
+    Parameters
+    ----------
+    vertex_count
+        Of the copy, see `coarse_copy`. A mesh that has no more gets its own spectrum.
+    kind, cache
+        See `esd.spectral.spectrum.spectrum`.
+
+    Raises
+    ------
+    InputError
+        If the mesh has no such copy, or that no such spectrum.
+    """
+    copy = coarse_copy(mesh, vertex_count, cache=cache)
+    pairs = spectrum(copy.mesh, k, kind=kind, cache=cache)
+    if copy.mesh is mesh:
+        return pairs
+    assert isinstance(mesh, Mesh)
+    mass = lumped_mass(mesh)
+    mass /= mass.sum()
+    vectors = np.nan_to_num(copy.carried(pairs.eigenvectors), copy=False)
+    overlap = sum(
+        part.T @ (weight[:, None] * part)
+        for part, weight in zip(*(np.array_split(x, 64) for x in (vectors, mass)), strict=True)
+    )
+    vectors = linalg.solve_triangular(linalg.cholesky(overlap, lower=True), vectors.T, lower=True).T
+    return replace(pairs, eigenvectors=vectors, mass=mass)

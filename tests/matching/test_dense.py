@@ -1,0 +1,79 @@
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from esd.common import InputError
+from esd.datasets.bodies import bodies
+from esd.matching.correspondence import Correspondence
+from esd.matching.dense import carried_to_dense
+from esd.matching.match import match
+from esd.matching.transfer import Places
+from esd.mesh.mesh import Mesh, edge_lengths, surface_area
+from esd.mesh.remesh import nearest_place
+from esd.mesh.shapes import grid, subdivide
+from esd.spectral.coarse import CoarseCopy, coarse_copy
+
+
+def shuffled(mesh: Mesh) -> tuple[Mesh, np.ndarray]:
+    """The mesh with its vertices in another order, and a loose one, and where each vertex went."""
+    order = np.random.default_rng(0).permutation(len(mesh.vertices))
+    rank = np.argsort(order)
+    return Mesh(np.vstack([mesh.vertices[order], [[9, 9, 9]]]), rank[mesh.faces]), rank
+
+
+def test_a_right_map_of_copies_is_right_on_the_dense_meshes(blob):
+    dense = subdivide(subdivide(blob))  # 8192 vertices
+    other, rank = shuffled(dense)
+    copies = coarse_copy(dense, 1000), coarse_copy(other, 1200)
+    # the truth: where each vertex of one copy lies on the other
+    index = cKDTree(copies[1].mesh.vertices).query(copies[0].mesh.vertices)[1]
+    image = Places(*nearest_place(copies[1].mesh, copies[0].mesh.vertices, index))
+    match = Correspondence(index, np.zeros(len(index)), np.linspace(0, 1, len(index)))
+    found = carried_to_dense(match, image, *copies)
+    gap = np.linalg.norm(other.vertices[found.target_index] - dense.vertices, axis=1)
+    edge = edge_lengths(dense).mean()
+    assert gap.mean() < edge / 2
+    assert gap.max() < 3 * edge  # the copies' surfaces differ by their sagitta
+    assert (found.target_index == rank).mean() > 0.5
+    assert 0 <= found.confidence.min() < found.confidence.max() <= 1
+    back = carried_to_dense(
+        Correspondence(np.arange(len(copies[1].mesh.vertices)), *np.zeros((2, 1200))),
+        Places(*nearest_place(copies[1].mesh, copies[1].mesh.vertices, np.arange(1200))),
+        copies[1],
+        copies[1],
+    )
+    assert back.target_index[-1] == -1
+    assert (back.distance[-1], back.confidence[-1]) == (np.inf, 0)
+    assert (back.target_index[:-1] == np.arange(8192)).mean() > 0.9
+
+
+def test_a_body_is_found_again_by_way_of_its_copies():
+    body = bodies(remeshed=True).shapes[0].mesh()
+    other, _ = shuffled(body)
+    found = match(body, other, coarse=2500)
+    gap = np.linalg.norm(body.vertices - other.vertices[found.target_index], axis=1)
+    assert gap.mean() < 0.01 * np.sqrt(surface_area(body))
+    assert found.judgement.verdict == "good"
+
+
+def test_faces_that_the_map_tears_apart_have_no_vertex_between():
+    square = grid(3, 3)
+    corners = square.faces
+    # on the copy, each dense vertex lies between the first two corners of a face
+    middle = np.tile([0.6, 0.4, 0.0], (len(corners), 1))
+    places = np.einsum("fc,fck->fk", middle, square.vertices[corners])
+    source = CoarseCopy(square, places, np.arange(len(corners)), middle)
+    torn_apart = square.vertices + [[100.0 * (i % 2), 0, 0] for i in range(len(square.vertices))]
+    target = coarse_copy(Mesh(torn_apart, corners), 100)
+    everywhere = np.arange(len(torn_apart))
+    image = Places(*nearest_place(target.mesh, torn_apart, everywhere))
+    match = Correspondence(everywhere, *np.zeros((2, len(everywhere))))
+    found = carried_to_dense(match, image, source, target)
+    torn = corners[:, 0] % 2 != corners[:, 1] % 2
+    assert 0 < torn.sum() < len(corners)
+    np.testing.assert_array_equal(found.target_index[torn], corners[torn, 0])
+
+
+def test_one_to_one_maps_by_copies_are_refused(blob):
+    with pytest.raises(InputError, match="are not one-to-one"):
+        match(blob, blob, coarse=300, one_to_one=True)
