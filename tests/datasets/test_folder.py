@@ -125,8 +125,12 @@ def test_broken_folders_are_refused(tmp_path, remeshed):
         folder_collection(tmp_path / "empty")
     write_mesh(torus(6, 5), tmp_path / "empty" / "a.off")
     write_mesh(torus(6, 6), tmp_path / "empty" / "b.off")
-    with pytest.raises(InputError, match="another connectivity"):
+    with pytest.raises(InputError, match=r"'b\.off' has another connectivity than 'a\.off'"):
         folder_collection(tmp_path / "empty")
+    write_mesh(torus(6, 5), tmp_path / "empty" / "c.off")
+    with pytest.raises(InputError, match=r"'b\.off' has another connectivity than 'a\.off'"):
+        folder_collection(tmp_path / "empty")["b"].mesh()
+    (tmp_path / "empty" / "c.off").unlink()
     write_mesh(torus(6, 6), tmp_path / "empty" / "b.ply")
     with pytest.raises(InputError, match="several meshes named 'b'"):
         folder_collection(tmp_path / "empty")

@@ -15,6 +15,8 @@ import numpy.typing as npt
 from esd.common import InputError, IntArray
 from esd.datasets.collection import Collection, Shape
 from esd.mesh.files import FORMATS, read_mesh
+from esd.mesh.mesh import Mesh
+from esd.spectral.cache import content_key
 
 _SUBJECT_PATTERNS = (
     r"tr_reg_(\d+)\d",  # FAUST: the last digit is the pose
@@ -30,7 +32,8 @@ def folder_collection(path: str | os.PathLike[str]) -> Collection:
     The meshes lie in the folder or in `shapes/` within it. Where there is a folder `corres` (or
     `corr`), its `NAME.vts` holds the 1-based vertex of shape NAME at each point of the template,
     one a line, and `NAME.sym.vts` the same under left-right symmetry. Where there is none, all
-    meshes must have one connectivity, and equal indices correspond.
+    meshes must have one connectivity, and equal indices correspond; each is checked when it is
+    read, so that opening a large folder takes no time.
 
     Subjects follow from the names of FAUST, TOSCA, Dyna and D-FAUST; elsewhere each shape is a
     subject of its own. A file `subjects.csv` with the columns `name,subject` and, if shapes of
@@ -152,14 +155,9 @@ def _of_one_connectivity(
     folder: Path, files: list[Path], listed: Mapping[str, tuple[str, str | None]]
 ) -> list[Shape]:
     first = read_mesh(files[0])
+    connectivity = _connectivity(first)
     shapes = []
     for file in files:
-        mesh = read_mesh(file)
-        if mesh.vertices.shape != first.vertices.shape or (mesh.faces != first.faces).any():
-            raise InputError(
-                f"'{file.name}' has another connectivity than '{files[0].name}'. Meshes of several "
-                "connectivities need correspondences: put them in 'shapes/' and 'corres/NAME.vts'."
-            )
         subject, template = _identity(file.stem, listed)
         everywhere = partial(np.arange, len(first.vertices))
         parts = _parts(folder, file.stem, everywhere)
@@ -168,12 +166,28 @@ def _of_one_connectivity(
                 name=file.stem,
                 subject=subject,
                 template=template,
-                mesh=partial(read_mesh, file),
+                mesh=partial(_read_alike, file, files[0].name, connectivity),
                 correspondence=everywhere,
                 parts=parts,
             )
         )
+    shapes[-1].mesh()  # of tens of thousands the others are checked when they are read
     return shapes
+
+
+def _read_alike(file: Path, first: str, connectivity: str) -> Mesh:
+    """The mesh in a file, if it has the connectivity of the first one."""
+    mesh = read_mesh(file)
+    if _connectivity(mesh) != connectivity:
+        raise InputError(
+            f"'{file.name}' has another connectivity than '{first}'. Meshes of several "
+            "connectivities need correspondences: put them in 'shapes/' and 'corres/NAME.vts'."
+        )
+    return mesh
+
+
+def _connectivity(mesh: Mesh) -> str:
+    return content_key("connectivity", mesh.faces, vertices=len(mesh.vertices))
 
 
 def _identity(name: str, listed: Mapping[str, tuple[str, str | None]]) -> tuple[str, str]:
