@@ -1,0 +1,101 @@
+"""A Dask cluster as a user starts one; every step ends by a time limit."""
+
+import json
+import os
+import subprocess
+import sys
+import threading
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from esd.mesh.files import write_mesh
+from esd.mesh.mesh import Mesh
+from esd.mesh.shapes import torus
+
+pytest.importorskip("distributed", reason="a cluster needs the extra `cluster`")
+
+LIMIT = 180  # seconds for any step; a few are usual
+HERE = str(Path(__file__).parent)
+JOBS = 12
+
+OUTCOMES = """
+import sys
+from esd.parallel import outcomes
+from test_cluster import slow_square, JOBS
+for outcome in outcomes(slow_square, range(JOBS), scheduler=sys.argv[1]):
+    print(outcome.job, outcome.result, outcome.failure, flush=True)
+"""
+
+
+def slow_square(number: int) -> int:
+    time.sleep(0.3)
+    return number**2
+
+
+@contextmanager
+def started(command: list[str], folder: Path, **options):
+    """A process that is gone at the end of the block, and at the end of its time at the latest."""
+    environment = os.environ | {
+        "PYTHONPATH": os.pathsep.join([HERE, *sys.path]),
+        "DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": f"{LIMIT}s",
+        "ESD_CACHE": "off",
+    }
+    with (folder / "log").open("a") as log:
+        process = subprocess.Popen(command, cwd=folder, env=environment, stderr=log, **options)
+    watch = threading.Timer(LIMIT, process.kill)
+    watch.start()
+    try:
+        yield process
+    finally:
+        watch.cancel()
+        process.kill()
+        process.wait()
+        if process.stdout is not None:
+            process.stdout.close()
+
+
+@pytest.fixture
+def cluster(tmp_path):
+    """Address of a scheduler, and its two workers."""
+    python = [sys.executable, "-m"]
+    contact = tmp_path / "scheduler.json"
+    scheduler = [*python, "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0"]
+    scheduler += ["--no-dashboard", "--scheduler-file", str(contact)]
+    worker = [*python, "distributed.cli.dask_worker", "--scheduler-file", str(contact)]
+    worker += ["--nthreads", "1", "--no-nanny", "--no-dashboard"]
+    worker += ["--local-directory", str(tmp_path)]
+    with started(scheduler, tmp_path):
+        deadline = time.monotonic() + LIMIT
+        while not (contact.exists() and contact.read_text()):
+            assert time.monotonic() < deadline, (tmp_path / "log").read_text()
+            time.sleep(0.1)
+        address = json.loads(contact.read_text())["address"]
+        with started(worker, tmp_path) as first, started(worker, tmp_path) as second:
+            yield address, (first, second)
+
+
+def test_a_cluster_computes_the_same_bytes_and_outlives_a_worker(cluster, tmp_path):
+    address, workers = cluster
+    shapes = tmp_path / "shapes"
+    shapes.mkdir()
+    mesh = torus(24, 16)
+    for i in range(3):
+        bend = np.sin(mesh.vertices[:, [1, 2, 0]] * (1 + 0.2 * i) + np.arange(3))
+        write_mesh(Mesh(mesh.vertices + 0.2 * bend, mesh.faces), shapes / f"{i}.off")
+    made = [sys.executable, "-m", "esd", "precompute", str(shapes), "-m", "gps", "-o"]
+    for name, how in (("cluster.h5", ["--scheduler", address]), ("here.h5", ["--workers", "1"])):
+        with started([*made, name, *how], tmp_path) as process:
+            assert process.wait() == 0, (tmp_path / "log").read_text()
+    assert (tmp_path / "cluster.h5").read_bytes() == (tmp_path / "here.h5").read_bytes()
+
+    command = [sys.executable, "-c", OUTCOMES, address]
+    with started(command, tmp_path, stdout=subprocess.PIPE, text=True) as process:
+        lines = [process.stdout.readline()]
+        workers[0].kill()
+        lines += process.stdout.readlines()
+        assert process.wait() == 0, (tmp_path / "log").read_text()
+    assert sorted(lines) == sorted(f"{i} {i**2} None\n" for i in range(JOBS))
