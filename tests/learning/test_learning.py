@@ -16,7 +16,7 @@ from esd.learning.presets import PRESETS, Training, preset
 from esd.mesh.mesh import Mesh
 
 torch = pytest.importorskip("torch", reason="training needs the extra `train`")
-from esd.learning.train import embedded_criteria, learning_rate, train  # noqa: E402
+from esd.learning.train import embedded_criteria, learning_rate, torch_device, train  # noqa: E402
 
 TRAINING = Training(
     Recipe((Descriptor("hks", 12),), eigenpairs=20), hidden=(10,), outputs=4, steps=1500, batch=64
@@ -209,6 +209,31 @@ def test_small_networks_are_trained_in_one_thread_and_others_keep_theirs(collect
         assert torch.get_num_threads() == 2
     finally:
         torch.set_num_threads(before)
+
+
+def test_training_takes_a_gpu_where_there_is_one(collection, monkeypatch):
+    short = replace(TRAINING, steps=20)
+    here = train(collection, short)
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    anywhere = train(collection, short, device="auto")
+    np.testing.assert_array_equal(here.layers[0].weight, anywhere.layers[0].weight)
+    assert here.card["device"] == "cpu"
+    with pytest.raises(InputError, match="torch finds no GPU here"):
+        train(collection, short, device="cuda")
+    with pytest.raises(InputError, match="There is no device 'tpu'"):
+        train(collection, short, device="tpu")
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    assert [torch_device(name).type for name in ("auto", "cuda", "cpu")] == ["cuda", "cuda", "cpu"]
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no GPU")
+@pytest.mark.parametrize("loss", ["contrastive", "infonce"])
+def test_a_gpu_learns_the_same_to_rounding(collection, loss, tmp_path):
+    short = replace(TRAINING, steps=20, loss=loss, dropout=0.1)
+    here, there = (train(collection, short, device=name) for name in ("cpu", "cuda"))
+    for one, other in zip(here.layers, there.layers, strict=True):
+        # float32 rounds at 1e-7, which twenty steps of Adam carry on
+        np.testing.assert_allclose(one.weight, other.weight, atol=1e-4)
 
 
 def test_interrupted_training_goes_on_to_the_same_weights(collection, tmp_path):

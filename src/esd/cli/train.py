@@ -49,6 +49,9 @@ def train(
         bool, typer.Option(help="Standardise the descriptors over the training shapes.")
     ] = True,
     log: Annotated[bool, typer.Option(help="Take the logarithm of the descriptors.")] = False,
+    device: Annotated[
+        str, typer.Option(metavar="[cpu|cuda|auto]", help="Where the network is trained.")
+    ] = "cpu",
     force: ForceOption = False,
 ) -> None:
     """Train a model on the shapes of DATASET; an interrupted training goes on when called again."""
@@ -99,6 +102,7 @@ def train(
             seed=seed,
             validation=held,
             checkpoint=output.with_name(output.name + ".checkpoint"),
+            device=device,
             cache=default_cache(),
             on_shape=lambda: described(1),
             on_progress=advance,

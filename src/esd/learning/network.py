@@ -39,11 +39,12 @@ class _Patched(torch.autograd.Function):  # type: ignore[misc]
     @staticmethod
     def forward(context: Any, values: torch.Tensor, operator: SparseMatrix) -> torch.Tensor:
         context.operator = operator
-        return torch.from_numpy(operator @ values.detach().numpy())
+        return torch.from_numpy(operator @ values.detach().cpu().numpy()).to(values.device)
 
     @staticmethod
     def backward(context: Any, gradient: torch.Tensor) -> tuple[torch.Tensor, None]:
-        return torch.from_numpy(context.operator.T @ gradient.numpy()), None
+        moved = torch.from_numpy(context.operator.T @ gradient.cpu().numpy())
+        return moved.to(gradient.device), None
 
 
 def convolved(

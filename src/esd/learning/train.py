@@ -95,6 +95,7 @@ def train(
     seed: int = 0,
     validation: Collection | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
+    device: str = "cpu",
     cache: Cache | None = None,
     on_shape: Callable[[], None] = lambda: None,
     on_progress: Callable[[Progress], None] = lambda _: None,
@@ -116,6 +117,9 @@ def train(
         and training stops when it has not fallen for ten looks (`training.look_every`).
     checkpoint
         A file from which an interrupted training goes on, and which is removed at its end.
+    device
+        Where the network is trained, see `torch_device`. What is drawn at random is the same on
+        all, so that they differ by rounding alone.
     cache
         Where spectra are looked up and kept.
     on_shape, on_progress
@@ -124,13 +128,14 @@ def train(
     Raises
     ------
     InputError
-        If the shapes cannot be described, the checkpoint belongs to another training, or
-        convolutions are asked for without whole shapes.
+        If the shapes cannot be described, the checkpoint belongs to another training,
+        convolutions are asked for without whole shapes, or torch has no such device.
     """
     if training.patches is not None and (collection.store or training.points is not None):
         raise InputError(
             "Convolutions need whole shapes: train on meshes, not on a store, and on all points."
         )
+    place = torch_device(device)
     if not 0 <= seed <= _LARGEST_SEED:
         raise InputError(f"`seed` must be from 0 to {_LARGEST_SEED}; got {seed}.")
     describe = partial(
@@ -158,7 +163,7 @@ def train(
         held_out = _HeldOut(held, tuple(batches))
 
     with _threads(training):
-        run = _start(training, seed)
+        run = _start(training, seed, place)
         path = Path(checkpoint) if checkpoint is not None else None
         identity = _identity(table, held_out, training, seed)
         if path is not None and path.exists():
@@ -244,9 +249,28 @@ def _draw(table: PointTable, training: Training, seed: int, step: int) -> PairBa
     return draw_pairs(table, generator, count=training.batch, soft_label=training.soft_label)
 
 
-def _start(training: Training, seed: int) -> _Run:
+def torch_device(name: str) -> torch.device:
+    """The device of a name: `cpu`, `cuda` for a GPU, or `auto` for a GPU where there is one.
+
+    Raises
+    ------
+    InputError
+        If there is no GPU that torch can use, or the name is another.
+    """
+    if name not in ("cpu", "cuda", "auto"):
+        raise InputError(f"There is no device '{name}'; expected cpu, cuda or auto.")
+    available = torch.cuda.is_available()
+    if name == "cuda" and not available:
+        raise InputError(
+            "torch finds no GPU here: install a build of torch for CUDA and a driver, or take "
+            "--device cpu."
+        )
+    return torch.device("cuda" if available and name != "cpu" else "cpu")
+
+
+def _start(training: Training, seed: int, device: torch.device) -> _Run:
     widths = [training.recipe.width, *training.hidden, training.outputs]
-    network = seeded_network(widths, seed, training.patches, training.convolutions)
+    network = seeded_network(widths, seed, training.patches, training.convolutions).to(device)
     optimiser = torch.optim.Adam(network.parameters(), lr=training.learning_rate)
     for parameter in network.parameters():  # the moments exist from the start, as in checkpoints
         optimiser.state[parameter] = {
@@ -291,13 +315,14 @@ def _losses(
     dropout: torch.Generator | None = None,
 ) -> torch.Tensor:
     """Loss of each pair of a batch, (b,); with descriptors dropped at random, or all there."""
+    device = next(network.parameters()).device
     if training.patches is not None:
         shapes = [table.whole_shape(rows) for rows in (batch.source, batch.target)]
         embedded = torch.cat(
             [
                 convolved(
                     network,
-                    _dropped(shape.values, training, dropout),
+                    _dropped(shape.values, training, dropout).to(device),
                     shape.operator,
                     shape.vertices,
                 )
@@ -306,13 +331,15 @@ def _losses(
         )
     else:
         rows = np.concatenate([batch.source, batch.target])
-        embedded = network(_dropped(table.at(rows), training, dropout))
+        embedded = network(_dropped(table.at(rows), training, dropout).to(device))
     if training.loss == "infonce":
         source, target = torch.nn.functional.normalize(embedded, dim=1).chunk(2)
         return infonce_loss(source, target, temperature=training.temperature)
     source, target = embedded.chunk(2)
     squared = ((source - target) ** 2).sum(dim=1)
-    return contrastive_loss(squared, torch.from_numpy(batch.label), margin=training.margin)
+    return contrastive_loss(
+        squared, torch.from_numpy(batch.label).to(device), margin=training.margin
+    )
 
 
 def _dropped(
@@ -350,7 +377,7 @@ def _weights(network: torch.nn.Sequential) -> list[torch.Tensor]:
 
 def _layers(weights: list[torch.Tensor]) -> tuple[Layer, ...]:
     pairs = zip(weights[::2], weights[1::2], strict=True)
-    return tuple(Layer(weight.numpy(), bias.numpy()) for weight, bias in pairs)
+    return tuple(Layer(weight.cpu().numpy(), bias.cpu().numpy()) for weight, bias in pairs)
 
 
 def _identity(table: PointTable, held_out: _HeldOut | None, training: Training, seed: int) -> str:
@@ -402,8 +429,8 @@ def _resume(run: _Run, path: Path, identity: str) -> None:
             run.best_weights[i] = tensors[f"{i}.best"]
             run.optimiser.state[parameter] = {
                 "step": torch.tensor(float(state["step"])),
-                "exp_avg": tensors[f"{i}.first_moment"],
-                "exp_avg_sq": tensors[f"{i}.second_moment"],
+                "exp_avg": tensors[f"{i}.first_moment"].to(parameter.device),
+                "exp_avg_sq": tensors[f"{i}.second_moment"].to(parameter.device),
             }
     for name in _PROGRESS:
         setattr(run, name, state[name])
@@ -423,6 +450,7 @@ def _card(
         "seed": seed,
         "steps_done": run.step,
         "curve": run.curve,
+        "device": str(next(run.network.parameters()).device),
         "threads": torch.get_num_threads(),
         "torch": str(torch.__version__),
     }
