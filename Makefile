@@ -3,7 +3,7 @@ BIN := .venv/bin
 
 SECONDS ?= 1800
 
-.PHONY: demo test check docs fuzz clean
+.PHONY: demo test check docs bench fuzz clean
 
 demo: .venv/demo
 	$(BIN)/python examples/demo.py
@@ -19,6 +19,12 @@ check: .venv/dev
 
 docs: .venv/dev
 	$(BIN)/mkdocs build --strict
+
+# the tables of the docs; some minutes on an idle machine
+bench: .venv/dev
+	for question in eigensolver descriptors refinement match growth; do \
+	  echo "$$question:"; $(BIN)/python benchmarks/$$question.py || exit 1; \
+	done
 
 .venv/demo: pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv

@@ -3,11 +3,10 @@
     python benchmarks/eigensolver.py                              # a bumpy torus, 2.5k to 20k
     python benchmarks/eigensolver.py --sizes 200000 --rounds 1 --methods esd --no-reference
     python benchmarks/eigensolver.py --mesh shape.off --subdivide 0 1 2
-    python benchmarks/eigensolver.py --peers VENV/bin/python      # where LaPy and cholespy are
 
 Every run is a process of its own, so that its peak memory is its own. The methods take turns,
-`--rounds` times (A B C A B C …), and the fastest of the rounds counts. Peers, besides scipy:
-`pip install --only-binary=:all: lapy cholespy threadpoolctl`, in an environment of its own or not.
+`--rounds` times (A B C A B C …), and the fastest of the rounds counts. LaPy is run in an
+environment of its own, which is made where it is missing.
 """
 
 from __future__ import annotations
@@ -23,6 +22,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+from measure import python_of
 from scipy import sparse
 from scipy.sparse import linalg
 
@@ -143,7 +143,7 @@ def measure(method, path, k, folder, python):
     return json.loads(done.stdout.splitlines()[-1]), result
 
 
-def compare(mesh, k, methods, rounds, peers, with_reference):
+def compare(mesh, k, methods, rounds, with_reference):
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         path = folder / "matrices.npz"
@@ -152,7 +152,7 @@ def compare(mesh, k, methods, rounds, peers, with_reference):
         best, accuracy = {}, {}
         for _ in range(rounds):
             for method in methods:
-                python = peers if method.startswith("lapy") else sys.executable
+                python = python_of("lapy") if method.startswith("lapy") else sys.executable
                 figures, result = measure(method, path, k, folder, python)
                 if figures is None:
                     continue
@@ -192,7 +192,6 @@ def main():
     parser.add_argument("-k", type=int, default=300)
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--no-reference", action="store_true", help="no errors: much less time")
-    parser.add_argument("--peers", default=sys.executable, help="python that has LaPy")
     options = parser.parse_args()
     print(
         "| n | method | wall s | CPU s | × wall | × CPU | peak MB | λ | HKS | WKS | |\n"
@@ -205,7 +204,6 @@ def main():
             options.k,
             options.methods,
             options.rounds,
-            options.peers,
             not options.no_reference,
         )
 

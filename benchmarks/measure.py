@@ -17,7 +17,7 @@ PEERS = {
     "esd": [str(ROOT)],
     "pyfm": ["pyfmaps==1.3.1"],
     "geomfum": ["geomfum==1.0.0", "libigl"],  # brings torch
-    "lapy": ["lapy==1.6.0", "cholespy", "threadpoolctl"],
+    "lapy": ["lapy==1.7.0", "cholespy", "threadpoolctl"],
 }
 
 
