@@ -35,7 +35,7 @@ def test_networks_trained_at_once_are_those_trained_alone(table, hidden):
     together = train_many(table, short, hidden, seed=3)
     for i, widths in enumerate(hidden):
         training = replace(short, hidden=widths)
-        run = alone._start(training, 3, torch_device("cpu"))
+        run = alone._start(training, 3, alone.torch_device("cpu"))
         alone._advance(run, table, training, 3)
         layers = alone._layers(alone._weights(run.network))
         for (weight, bias), layer in zip(together, layers, strict=True):

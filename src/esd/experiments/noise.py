@@ -20,12 +20,12 @@ from esd.experiments.report import Report, Table
 from esd.experiments.setting import Setting, fingerprint
 from esd.learning.model import Model, load_model
 from esd.matching.correspondence import Correspondence
+from esd.matching.described import Described, describe
 from esd.matching.match import match_described
 from esd.mesh.doctor import Repaired, repair
 from esd.mesh.geodesics import geodesic_diameter, geodesic_graph
 from esd.mesh.mesh import Mesh
 from esd.spectral.cache import Arrays, Cache, content_key
-from esd.spectral.spectrum import Spectrum
 
 MODELS = {"HKS": "hks", "EHKS": "paper-hks", "default": "default"}
 """Models that come with the package, by their names in tables and figures."""
@@ -106,15 +106,6 @@ class NoiseOutcome:
         return _series(self.maps, noise, model)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Described:
-    """A shape in the eyes of all models."""
-
-    shape: Repaired
-    spectrum: Spectrum
-    embedded: Mapping[str, FloatArray]
-
-
 def run(setting: Setting) -> NoiseOutcome:
     """Match shapes that are disturbed more and more to clean shapes of other subjects.
 
@@ -159,25 +150,20 @@ def _disturbed(noise: str, mesh: Mesh, level: float, *, seed: int) -> Perturbed:
     return PERTURBATIONS[noise].disturb(mesh, level, seed=seed)
 
 
-def _described(models: Mapping[str, Model], shape: Repaired, kept: Cache | None) -> _Described:
+def _described(
+    models: Mapping[str, Model], shape: Repaired, kept: Cache | None
+) -> dict[str, Described]:
+    """A shape in the eyes of all models."""
     # all of `MODELS` take the same spectrum
     pairs = recipe_spectrum(next(iter(models.values())).recipe, shape.shape, cache=kept)
-    embedded = {name: model.embed_spectrum(shape.shape, pairs) for name, model in models.items()}
-    return _Described(shape, pairs, embedded)
+    return {name: describe(shape, model=model, pairs=pairs) for name, model in models.items()}
 
 
 def _matches(
-    models: Mapping[str, Model], source: _Described, target: _Described
+    models: Mapping[str, Model], source: Mapping[str, Described], target: Mapping[str, Described]
 ) -> tuple[Correspondence, ...]:
     return tuple(
-        match_described(
-            (source.shape, target.shape),
-            (source.spectrum, target.spectrum),
-            (source.embedded[name], target.embedded[name]),
-            model=model,
-            refine=None,
-            one_to_one=False,
-        )
+        match_described(source[name], target[name], model=model, refine=None, one_to_one=False)
         for name, model in models.items()
     )
 
@@ -190,7 +176,7 @@ def _matching(
     key, data = models_key(models), fingerprint(setting.testing)
 
     @cache
-    def clean() -> _Described:
+    def clean() -> dict[str, Described]:
         return _described(models, repair(target.mesh()), setting.cache)
 
     def matched(noise: str, level: float) -> Arrays:
@@ -213,7 +199,7 @@ def _matching(
 def _maps_of_pair(
     models: Mapping[str, Model],
     pair: tuple[Shape, Shape],
-    clean: _Described,
+    clean: Mapping[str, Described],
     noise: str,
     level: float,
     *,

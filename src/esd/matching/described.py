@@ -48,7 +48,12 @@ class Described:
 
 
 def describe(
-    repaired: Repaired, *, model: Model, coarse: int | None = None, cache: Cache | None = None
+    repaired: Repaired,
+    *,
+    model: Model,
+    coarse: int | None = None,
+    pairs: Spectrum | None = None,
+    cache: Cache | None = None,
 ) -> Described:
     """The spectrum and the embedding of a shape, or of its coarse copy.
 
@@ -56,6 +61,10 @@ def describe(
     ----------
     coarse
         Number of vertices of the copy, see `esd.spectral.coarse.coarse_copy`.
+    pairs
+        The `recipe_spectrum` of the repaired shape, where it is at hand and there is no copy.
+    cache
+        Where spectra and copies are looked up and kept.
 
     Raises
     ------
@@ -64,7 +73,8 @@ def describe(
     """
     copy = None if coarse is None else coarse_copy(repaired.shape, coarse, cache=cache)
     shape = repaired.shape if copy is None else copy.mesh
-    pairs = recipe_spectrum(model.recipe, shape, cache=cache)
+    if pairs is None or copy is not None:
+        pairs = recipe_spectrum(model.recipe, shape, cache=cache)
     return Described(
         shape,
         pairs,
