@@ -108,6 +108,9 @@ def test_spectrum_descriptor_and_cache(shapes, tmp_path):
     run("spectrum", mesh, "-k", 20, "-o", tmp_path / "s.npz")
     with np.load(tmp_path / "s.npz", allow_pickle=False) as file:
         assert file["eigenvalues"].shape == (20,)
+    run("spectrum", mesh, "-k", 20, "--coarse", 350, "-o", tmp_path / "c.npz")
+    with np.load(tmp_path / "c.npz", allow_pickle=False) as file:
+        assert file["eigenvectors"].shape == (384, 20)
     for kind, width in (("hks", 100), ("gps", 25), ("sihks", 19), ("geometry", 150)):
         run("descriptor", mesh, "--kind", kind, "-o", tmp_path / f"{kind}.npy")
         assert np.load(tmp_path / f"{kind}.npy").shape == (384, width)
@@ -151,6 +154,14 @@ def test_bad_input_ends_with_one_line_and_leaves_nothing(shapes, tmp_path):
         done = run(*arguments, expect=1)
         assert done.stderr.count("\n") == 1, done.stderr
     assert files(output) == set()
+
+
+def test_a_map_by_way_of_coarse_copies(shapes, tmp_path):
+    pair = (shapes / "tr_reg_000.off", shapes / "tr_reg_030.off", "-m", "hks", "--coarse", 350)
+    told = json.loads(run("match", *pair, "-o", tmp_path / "m.npy", "--json").stdout)
+    assert told["matched"] == len(np.load(tmp_path / "m.npy")) == 384
+    refused = run("match", *pair, "--one-to-one", "-o", tmp_path / "n.npy", expect=1)
+    assert "are not one-to-one" in refused.stderr
 
 
 def test_wrong_usage_ends_with_two(shapes):
