@@ -169,7 +169,7 @@ def test_table2_compares_methods_on_ever_more_different_subjects(compared, tmp_p
     assert "mirrored" not in tables
     text = " ".join(outcome.report.findings)
     assert "nothing is excluded" in text
-    assert "EHKS has 5.62 times the share of the best of the others, OSD" in text
+    assert "EHKS has 5.62 times the share of OSD, the best of the others" in text
     assert drawn(viewing.table2_figures(outcome), tmp_path) == {"curves", "matches", "training"}
     # again: nothing is trained, matched or measured anew
     monkeypatch.setattr(table2, "_errors", None)
