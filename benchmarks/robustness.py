@@ -26,7 +26,6 @@ from scipy.spatial import KDTree
 from esd.common import FloatArray, IntArray
 from esd.datasets.collection import Collection, Shape
 from esd.datasets.open import open_collection
-from esd.descriptors.recipe import recipe_spectrum
 from esd.evaluation.errors import geodesic_errors
 from esd.evaluation.perturb import (
     Perturbed,
@@ -37,14 +36,14 @@ from esd.evaluation.perturb import (
     short_circuits,
 )
 from esd.learning.model import Model, load_model
+from esd.matching.described import describe
 from esd.matching.match import match_described
-from esd.mesh.doctor import Repaired, repair
+from esd.mesh.doctor import repair
 from esd.mesh.geodesics import geodesic_diameter, geodesic_graph
 from esd.mesh.mesh import Mesh, edge_lengths, surface_area
 from esd.mesh.remesh import remesh
 from esd.mesh.shapes import icosphere, subdivide
-from esd.spectral.cache import Cache, default_cache
-from esd.spectral.spectrum import Spectrum
+from esd.spectral.cache import default_cache
 
 Altered: TypeAlias = tuple[FloatArray, IntArray, IntArray]
 """Vertices, faces, and the new vertex of each old one, -1 where it is gone."""
@@ -212,13 +211,6 @@ def neighbours(collection: Collection) -> Iterator[tuple[Shape, Shape]]:
             yield shape, other[i % len(other)]
 
 
-def described(
-    model: Model, shape: Repaired, cache: Cache | None
-) -> tuple[Repaired, Spectrum, FloatArray]:
-    pairs = recipe_spectrum(model.recipe, shape.shape, cache=cache)
-    return shape, pairs, model.embed_spectrum(shape.shape, pairs)
-
-
 def rows(
     model: Model, source: Shape, target: Shape, alterations: list[str]
 ) -> Iterator[tuple[object, ...]]:
@@ -226,15 +218,15 @@ def rows(
     whole, there = target.mesh(), target.correspondence()
     graph = geodesic_graph(whole)
     diameter, root = geodesic_diameter(whole, graph=graph), surface_area(whole) ** 0.5
-    clean = described(model, repair(whole), default_cache())
+    clean = describe(repair(whole), model=model, cache=default_cache())
     points = np.flatnonzero((source.correspondence() >= 0) & (there >= 0))
     points = np.random.default_rng(0).permutation(points)[:POINTS]
     for name in alterations:
         rng = np.random.default_rng(int(source.name[-3:]))
         vertices, faces, index = ALTERATIONS[name](source.mesh(), rng)
-        other = described(model, repair((vertices, faces)), None)
-        forth = zip(other, clean, strict=True)
-        found = match_described(*forth, model=model, refine=None, one_to_one=False)
+        mended = repair((vertices, faces))
+        other = describe(mended, model=model)
+        found = match_described(other, clean, model=model, refine=None, one_to_one=False)
         here = index[source.correspondence()[points]]
         predicted = np.where(here >= 0, found.target_index[here], -1)
         (error,) = geodesic_errors(graph, predicted, (there[points],))
@@ -246,7 +238,7 @@ def rows(
             100 * error[matched].mean() / root,
             (error[matched] <= 0.05 * diameter).mean(),
             1 - matched.mean(),
-            other[0].diagnosis.severity,
+            mended.diagnosis.severity,
             found.judgement.verdict,
             found.judgement.expected_accuracy,
         )
