@@ -20,7 +20,7 @@ def descriptors(spectrum: str, output: str) -> None:
         values, vectors, times = file["eigenvalues"], file["eigenvectors"], file["times"]
     everywhere = np.arange(len(vectors))
     start = time.process_time()
-    signature = heat.diagonal(times, everywhere, vectors[:, 1:], values[1:], len(values) - 1)
+    signature = heat.diagonal(times[None], everywhere, vectors, values[:, None], len(values))
     np.savez(output, hks=signature, cpu=[time.process_time() - start])
 
 

@@ -38,7 +38,7 @@ def descriptors(spectrum: str, output: str) -> None:
         values, vectors = file["eigenvalues"], file["eigenvectors"]
         times, energies, width = file["times"], file["energies"], float(file["width"])
     start = time.process_time()
-    heat = HKS(values[1:], vectors[:, 1:], times, scaled=False)
+    heat = HKS(values, vectors, times, scaled=False)
     middle = time.process_time()
     wave = WKS(values[1:], vectors[:, 1:], energies, width, scaled=True)
     np.savez(output, hks=heat, wks=wave, cpu=[middle - start, time.process_time() - middle])
