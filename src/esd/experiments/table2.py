@@ -388,11 +388,11 @@ def _report(
         "The embedding beside other learned descriptors (table 2)",
         (
             f"{len(groups[0].pairs)} pairs a group, {points} points a pair: a tenth of the "
-            f"source's vertices, drawn by area. {without}. Each is mapped to the nearest vertex in "
-            "each descriptor; nothing is rejected or refined. A match is correct within 5 % of the "
-            "geodesic diameter. The disparity of two shapes is the mean difference of the geodesic "
-            f"distances between {_LANDMARKS} points, as a share of their mean, both for unit area; "
-            "RSD is the standard deviation over pairs over the mean.",
+            f"source's vertices that have a counterpart, drawn by area. {without}. Each is mapped "
+            "to the nearest vertex in each descriptor; nothing is rejected or refined. A match is "
+            "correct within 5 % of the geodesic diameter. The disparity of two shapes is the mean "
+            f"difference of the geodesic distances between {_LANDMARKS} points, as a share of "
+            "their mean, both for unit area; RSD is the standard deviation over pairs over the mean.",
             f"All methods were trained on the same {len(seen.shapes)} shapes of "
             f"{', '.join(seen.subjects)}, until the loss on {len(held.shapes)} shapes of "
             f"{', '.join(held.subjects)} had stopped falling or the preset's steps were done; the "
