@@ -392,7 +392,8 @@ def _report(
             "to the nearest vertex in each descriptor; nothing is rejected or refined. A match is "
             "correct within 5 % of the geodesic diameter. The disparity of two shapes is the mean "
             f"difference of the geodesic distances between {_LANDMARKS} points, as a share of "
-            "their mean, both for unit area; RSD is the standard deviation over pairs over the mean.",
+            "their mean, both for unit area; RSD is the standard deviation over pairs over the "
+            "mean.",
             f"All methods were trained on the same {len(seen.shapes)} shapes of "
             f"{', '.join(seen.subjects)}, until the loss on {len(held.shapes)} shapes of "
             f"{', '.join(held.subjects)} had stopped falling or the preset's steps were done; the "
