@@ -11,10 +11,13 @@ from __future__ import annotations
 import logging
 import operator
 import os
-from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
+from itertools import chain, pairwise
+from typing import Any
 
 import numpy as np
 from scipy import linalg, sparse
@@ -351,8 +354,19 @@ def _working_threads(threads: int | None) -> Iterator[Run]:
         if threads == 1:
             yield map
             return
-        with ThreadPoolExecutor(threads) as pool:
-            yield pool.map
+        with ThreadPoolExecutor(threads - 1) as pool:
+            yield partial(_shared_out, pool, threads)
+
+
+def _shared_out(
+    pool: Executor, threads: int, function: Callable[[slice], Any], slabs: list[slice]
+) -> Iterator[Any]:
+    """`map` by this thread and those of a pool: to work costs less than to wait and be woken."""
+    bounds = [len(slabs) * i // threads for i in range(threads + 1)]
+    parts = [slabs[start:end] for start, end in pairwise(bounds)]
+    others = [pool.submit(lambda part: [function(slab) for slab in part], p) for p in parts[1:]]
+    own = [function(slab) for slab in parts[0]]
+    return chain(own, *(other.result() for other in others))
 
 
 def _checked_count(k: int, n: int) -> int:
