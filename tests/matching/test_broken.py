@@ -104,3 +104,13 @@ def test_a_cloud_and_its_mesh_have_nearly_equal_signatures():
     pair = spectrum(bent, 60), spectrum(PointCloud(bent.vertices), 60)
     first, second = (np.log(hks(pairs, times=np.array([0.01, 0.05]))) for pairs in pair)
     assert np.corrcoef(first.ravel(), second.ravel())[0, 1] > 0.99
+
+
+def test_faces_wound_at_random_make_no_map_look_mirrored(blob):
+    model = Model("m", Recipe((Descriptor("hks", 20),), eigenpairs=40), np.zeros(20), np.ones(20))
+    for seed in range(6):  # about half of which are put right the wrong way round at first
+        turned = np.random.default_rng(seed).random((len(blob.faces), 1)) < 0.5
+        wound = Mesh(blob.vertices, np.where(turned, blob.faces[:, ::-1], blob.faces))
+        found = match(wound, blob, model=model)
+        assert (found.target_index == np.arange(len(blob.vertices))).all()
+        assert found.judgement.verdict == "good"

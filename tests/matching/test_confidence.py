@@ -58,3 +58,12 @@ def test_a_map_to_the_mirror_image_turns_the_surface_over(blob, truth):
     assert verdict.verdict == "mirrored"
     assert "mirror image" in verdict.advice
     assert judgement(blob, blob, truth, values, turned_over=True).verdict == "mirrored"
+
+
+def test_vertices_without_a_face_say_nothing_of_a_map(blob, truth):
+    values = confidence(blob, blob, truth, truth)
+    lone = Mesh(np.concatenate([blob.vertices, np.zeros((999, 3))]), blob.faces)
+    index, more = np.append(truth, np.full(999, -1)), np.append(values, np.zeros(999))
+    expected = judgement(blob, blob, truth, values)
+    assert judgement(lone, blob, index, more) == expected
+    assert expected.verdict == "good"

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import sparse
 
 from esd.common import FloatArray, IntArray
-from esd.mesh.mesh import Mesh, edges, face_areas, surface_area, vertex_normals
+from esd.mesh.mesh import Mesh, edges, face_areas, is_referenced, surface_area, vertex_normals
 
 Verdict: TypeAlias = Literal["good", "doubtful", "failed", "mirrored"]
 
@@ -36,8 +36,8 @@ class Judgement:
     verdict
         `good`, `doubtful`, `failed`, or `mirrored`.
     expected_accuracy
-        Mean confidence of all source vertices: the share that should lie within 5 % of the
-        geodesic diameter of the truth.
+        Mean confidence of all source vertices that have a face: the share that should lie within
+        5 % of the geodesic diameter of the truth.
     orientation
         Between −1 and 1: the share of the source's surface, by area, that keeps its side under
         the map less the share that is turned over, as the faces of both files are wound.
@@ -131,7 +131,7 @@ def judgement(
     turned_over
         Whether the faces of just one of the meshes were turned before it was matched.
     """
-    accuracy = float(values.mean())
+    accuracy = float(values[is_referenced(source)].mean())
     side = orientation(source, target, target_index) * (-1 if turned_over else 1)
     if side < 0 and accuracy >= _FAILED:
         return Judgement("mirrored", accuracy, side)

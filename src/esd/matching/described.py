@@ -30,7 +30,7 @@ class Described:
     embedded : (r, d)
         Embedding of its vertices.
     is_turned
-        Whether its faces were turned outward by the repair.
+        Whether its faces were all turned outward by the repair.
     vertex_index, original_index : (n,) and (r,)
         The vertex of the shape of each of the n original ones, and back, see
         `esd.mesh.doctor.Repaired`. Where the shape is a coarse copy: of the repaired mesh.
@@ -79,7 +79,8 @@ def describe(
         shape,
         pairs,
         model.embed_spectrum(shape, pairs, cache=cache),
-        "inside_out_pieces" in repaired.done,
+        # faces that were wound differently have no outside of their own that could be turned
+        "inside_out_pieces" in repaired.done and "inconsistent_winding" not in repaired.done,
         repaired.vertex_index,
         repaired.original_index,
         copy,
