@@ -1,8 +1,11 @@
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from esd.datasets.collection import Collection, Shape
+from esd.mesh.files import write_mesh
 from esd.mesh.mesh import Mesh
 from esd.mesh.shapes import icosphere, torus
 
@@ -26,6 +29,32 @@ def blob() -> Mesh:
     return Mesh(
         (mesh.vertices * swell[:, None]) + 0.1 * mesh.vertices[:, [1, 2, 0]] ** 2, mesh.faces
     )
+
+
+@pytest.fixture
+def collection(blob: Mesh) -> Collection:
+    """Four bent copies of one shape; point p of the template is vertex p, but for one missing."""
+
+    def copy(i: int) -> Mesh:
+        bend = np.sin(np.arange(3) + blob.vertices[:, [1, 2, 0]] * (1 + 0.3 * i))
+        return Mesh(blob.vertices + 0.1 * i * bend, blob.faces)
+
+    index = np.arange(len(blob.vertices))
+    index[7] = -1
+    shapes = [Shape(f"c{i}", f"s{i}", "t", lambda i=i: copy(i), lambda: index) for i in range(4)]
+    return Collection("copies", tuple(shapes))
+
+
+@pytest.fixture
+def shapes(tmp_path: Path) -> Path:
+    """Folder of meshes of one connectivity, of four subjects, each bent a little more."""
+    folder = tmp_path / "set"
+    folder.mkdir()
+    mesh = torus(24, 16)
+    for i in range(4):
+        bend = np.sin(mesh.vertices[:, [1, 2, 0]] * (1 + 0.2 * i) + np.arange(3))
+        write_mesh(Mesh(mesh.vertices + 0.2 * bend, mesh.faces), folder / f"tr_reg_0{i}0.off")
+    return folder
 
 
 @pytest.fixture

@@ -9,12 +9,7 @@ import time
 from contextlib import contextmanager
 from pathlib import Path
 
-import numpy as np
 import pytest
-
-from esd.mesh.files import write_mesh
-from esd.mesh.mesh import Mesh
-from esd.mesh.shapes import torus
 
 pytest.importorskip("distributed", reason="a cluster needs the extra `cluster`")
 
@@ -78,14 +73,8 @@ def cluster(tmp_path):
             yield address, (first, second)
 
 
-def test_a_cluster_computes_the_same_bytes_and_outlives_a_worker(cluster, tmp_path):
+def test_a_cluster_computes_the_same_bytes_and_outlives_a_worker(cluster, shapes, tmp_path):
     address, workers = cluster
-    shapes = tmp_path / "shapes"
-    shapes.mkdir()
-    mesh = torus(24, 16)
-    for i in range(3):
-        bend = np.sin(mesh.vertices[:, [1, 2, 0]] * (1 + 0.2 * i) + np.arange(3))
-        write_mesh(Mesh(mesh.vertices + 0.2 * bend, mesh.faces), shapes / f"{i}.off")
     made = [sys.executable, "-m", "esd", "precompute", str(shapes), "-m", "gps", "-o"]
     for name, how in (("cluster.h5", ["--scheduler", address]), ("here.h5", ["--workers", "1"])):
         with started([*made, name, *how], tmp_path) as process:

@@ -16,24 +16,10 @@ import pytest
 from esd.common import InputError, whole_file
 from esd.learning.model import load_model
 from esd.matching.correspondence import load_map
-from esd.mesh.files import write_mesh
-from esd.mesh.mesh import Mesh
-from esd.mesh.shapes import torus
 from esd.spectral.cache import Cache, default_cache
 from esd.spectral.spectrum import spectrum
 
 ESD = [sys.executable, "-m", "esd"]
-
-
-@pytest.fixture
-def shapes(tmp_path) -> Path:
-    folder = tmp_path / "set"
-    folder.mkdir()
-    mesh = torus(24, 16)
-    for i in range(3):
-        bend = np.sin(mesh.vertices[:, [1, 2, 0]] * (1 + 0.2 * i) + np.arange(3))
-        write_mesh(Mesh(mesh.vertices + 0.2 * bend, mesh.faces), folder / f"tr_reg_0{i}0.off")
-    return folder
 
 
 def run(*arguments, limit: int | None = None, **environment) -> subprocess.CompletedProcess[str]:
@@ -170,7 +156,7 @@ def test_a_precomputing_that_is_killed_goes_on_and_clears_up(shapes, tmp_path):
     assert len(left_over(tmp_path)) == 1
     again = run(*command, ESD_CACHE="off")
     assert again.returncode == 0, again.stderr
-    assert "2 shapes computed, 1 unchanged" in again.stdout, again.stdout
+    assert "3 shapes computed, 1 unchanged" in again.stdout, again.stdout
     assert sorted(path.name for path in tmp_path.iterdir()) == ["s.h5", "set"]
 
 
@@ -207,7 +193,7 @@ def test_precomputing_on_a_full_disk_tells_what_failed(shapes, tmp_path):
     done = run(*command, "-o", tmp_path / "s.h5", limit=20_000, ESD_CACHE="off")
     assert done.returncode == 1
     assert is_one_line(done.stderr), done.stderr
-    assert done.stdout.count("File too large") == 3, done.stdout
+    assert done.stdout.count("File too large") == 4, done.stdout
     assert not (tmp_path / "s.h5").exists()
     assert left_over(tmp_path) == []
 

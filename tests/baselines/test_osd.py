@@ -8,27 +8,14 @@ import pytest
 
 from esd.baselines.osd import optimal_metric, with_knots
 from esd.common import InputError
-from esd.datasets.collection import Collection, Shape
 from esd.descriptors.recipe import Descriptor, Recipe, recipe_spectrum, single_recipe
 from esd.learning.fit import fit
 from esd.learning.model import load_model, save_model
 from esd.learning.presets import PRESETS
-from esd.mesh.mesh import Mesh
 
 OSD = replace(
     PRESETS["osd"], recipe=Recipe((Descriptor("hks", 12),), eigenpairs=20), outputs=4, steps=20
 )
-
-
-@pytest.fixture
-def collection(blob):
-    def copy(i):
-        bend = np.sin(np.arange(3) + blob.vertices[:, [1, 2, 0]] * (1 + 0.3 * i))
-        return Mesh(blob.vertices + 0.1 * i * bend, blob.faces)
-
-    index = np.arange(len(blob.vertices))
-    shapes = [Shape(f"c{i}", f"s{i}", "t", lambda i=i: copy(i), lambda: index) for i in range(4)]
-    return Collection("copies", tuple(shapes))
 
 
 def gaussians(near, far, count=200_000):

@@ -6,10 +6,8 @@ from pathlib import Path
 
 import h5py
 import numpy as np
-import pytest
 
 from esd.mesh.files import write_mesh
-from esd.mesh.mesh import Mesh
 from esd.mesh.shapes import icosphere, torus
 
 
@@ -23,18 +21,6 @@ def run(*arguments: object, expect: int = 0) -> subprocess.CompletedProcess[str]
 
 def files(folder: Path) -> set[str]:
     return {name for _, _, names in os.walk(folder) for name in names}
-
-
-@pytest.fixture
-def shapes(tmp_path) -> Path:
-    """Meshes of one connectivity, of four subjects, each bent a little more."""
-    folder = tmp_path / "set"
-    folder.mkdir()
-    mesh = torus(24, 16)
-    for i in range(4):
-        bend = np.sin(mesh.vertices[:, [1, 2, 0]] * (1 + 0.2 * i) + np.arange(3))
-        write_mesh(Mesh(mesh.vertices + 0.2 * bend, mesh.faces), folder / f"tr_reg_0{i}0.off")
-    return folder
 
 
 def test_from_training_to_a_map_and_its_error(shapes, tmp_path):

@@ -97,7 +97,7 @@ def test_true_signs_undo_arbitrary_ones(made):
     signs = np.where(np.arange(25) % 2, 1, -1)
     index = np.arange(384)
     ends = [
-        counting._Embedded(shape, index, {"GPS": v, "signed": v}) for v in (values, values * signs)
+        counting.Embedded(shape, index, {"GPS": v, "signed": v}) for v in (values, values * signs)
     ]
     models = {"GPS": raw_model("gps"), "signed": raw_model("gps")}
     found = counting._correct_on_target(ends[1], [ends[0]], models, ["signed"])

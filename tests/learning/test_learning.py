@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from esd.common import InputError
-from esd.datasets.collection import Collection, Shape
+from esd.datasets.collection import Collection
 from esd.datasets.open import open_collection
 from esd.datasets.precompute import precompute
 from esd.descriptors.recipe import Descriptor, Recipe, single_recipe
@@ -13,7 +13,6 @@ from esd.learning.losses import contrastive_loss, infonce_loss, pair_criteria
 from esd.learning.model import Layer, Model, load_model, raw_model, save_model
 from esd.learning.pairs import draw_matches, draw_pairs, point_table, standardisation, stored_table
 from esd.learning.presets import PRESETS, Training, preset
-from esd.mesh.mesh import Mesh
 
 torch = pytest.importorskip("torch", reason="training needs the extra `train`")
 from esd.learning.train import embedded_criteria, learning_rate, torch_device, train  # noqa: E402
@@ -21,20 +20,6 @@ from esd.learning.train import embedded_criteria, learning_rate, torch_device, t
 TRAINING = Training(
     Recipe((Descriptor("hks", 12),), eigenpairs=20), hidden=(10,), outputs=4, steps=1500, batch=64
 )
-
-
-@pytest.fixture
-def collection(blob):
-    """Four bent copies of one shape; point p of the template is vertex p, but for one missing."""
-
-    def copy(i):
-        bend = np.sin(np.arange(3) + blob.vertices[:, [1, 2, 0]] * (1 + 0.3 * i))
-        return Mesh(blob.vertices + 0.1 * i * bend, blob.faces)
-
-    index = np.arange(len(blob.vertices))
-    index[7] = -1
-    shapes = [Shape(f"c{i}", f"s{i}", "t", lambda i=i: copy(i), lambda: index) for i in range(4)]
-    return Collection("copies", tuple(shapes))
 
 
 def test_half_of_the_pairs_correspond_and_labels_are_soft(collection):

@@ -14,9 +14,9 @@ import numpy as np
 
 from esd.common import FloatArray, InputError, IntArray
 from esd.datasets.collection import Shape, check_correspondence
-from esd.descriptors.recipe import recipe_spectrum
 from esd.evaluation.errors import area_under_curve, geodesic_errors
 from esd.learning.model import Model
+from esd.matching.described import describe
 from esd.matching.match import match_embedded
 from esd.mesh.doctor import repair
 from esd.mesh.geodesics import geodesic_diameter, geodesic_graph
@@ -181,11 +181,10 @@ def _embedded(model: Model, shape: Shape, cache: Cache | None) -> _Embedded:
     if symmetric is not None:
         symmetric = np.where(symmetric >= 0, repaired.vertex_index[symmetric], -1)
     try:
-        pairs = recipe_spectrum(model.recipe, mesh, cache=cache)
-        values = model.embed_spectrum(mesh, pairs, cache=cache)
+        described = describe(repaired, model=model, cache=cache)
     except InputError as error:
         raise InputError(f"'{shape.name}': {error}") from error
-    return _Embedded(shape.name, mesh, pairs, values, index, symmetric)
+    return _Embedded(shape.name, mesh, described.spectrum, described.embedded, index, symmetric)
 
 
 def _errors_on_target(

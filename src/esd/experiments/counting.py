@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
@@ -55,7 +55,7 @@ class CorrectMatches:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Embedded:
+class Embedded:
     """A shape in the eyes of several models."""
 
     shape: Shape
@@ -92,13 +92,7 @@ def correct_matches(
         Names of models whose values on the target get, column by column, the sign that the true
         map gives them. That needs the answer: it tells what arbitrary signs cost.
     """
-    embedded: dict[str, _Embedded] = {}
-
-    def seen(shape: Shape) -> _Embedded:
-        if shape.name not in embedded:
-            embedded[shape.name] = _embedded(setting, models, shape)
-        return embedded[shape.name]
-
+    seen = embedder(setting, models)
     places: dict[str, list[int]] = {}
     for place, (_, target) in enumerate(pairs):
         places.setdefault(target.name, []).append(place)
@@ -185,19 +179,39 @@ def models_key(models: Mapping[str, Model]) -> str:
             *(a for layer in model.layers for a in (layer.weight, layer.bias)),
         )
     ]
-    recipes = [(name, model.recipe.to_json(), model.margin) for name, model in models.items()]
-    return content_key("models", *arrays, recipes=recipes)
+    settings = [
+        (
+            name,
+            model.recipe.to_json(),
+            model.margin,
+            model.limit,
+            model.unit_length,
+            model.patches and asdict(model.patches),
+        )
+        for name, model in models.items()
+    ]
+    return content_key("models", *arrays, settings=settings)
 
 
-def _embedded(setting: Setting, models: Mapping[str, Model], shape: Shape) -> _Embedded:
-    mesh = shape.mesh()
-    values = {name: model.embed_mesh(mesh, cache=setting.cache) for name, model in models.items()}
-    return _Embedded(shape, shape.correspondence(), values)
+def embedder(setting: Setting, models: Mapping[str, Model]) -> Callable[[Shape], Embedded]:
+    """A function that embeds a shape by several models, each shape once."""
+    embedded: dict[str, Embedded] = {}
+
+    def seen(shape: Shape) -> Embedded:
+        if shape.name not in embedded:
+            mesh = shape.mesh()
+            values = {
+                name: model.embed_mesh(mesh, cache=setting.cache) for name, model in models.items()
+            }
+            embedded[shape.name] = Embedded(shape, shape.correspondence(), values)
+        return embedded[shape.name]
+
+    return seen
 
 
 def _correct_on_target(
-    target: _Embedded,
-    sources: Sequence[_Embedded],
+    target: Embedded,
+    sources: Sequence[Embedded],
     models: Mapping[str, Model],
     true_signs: Sequence[str],
 ) -> dict[tuple[str, int], BoolArray]:

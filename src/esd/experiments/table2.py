@@ -16,7 +16,7 @@ from esd.common import BoolArray, FloatArray, InputError, IntArray
 from esd.datasets.collection import Collection, Shape
 from esd.datasets.splits import sample_by_subject, split_by_subject
 from esd.evaluation.errors import cumulative_curve, geodesic_errors
-from esd.experiments.counting import NEAR, models_key
+from esd.experiments.counting import NEAR, Embedded, embedder, models_key
 from esd.experiments.paper import TABLE2
 from esd.experiments.report import Report, Table
 from esd.experiments.setting import Setting, fingerprint, shortened, trained
@@ -164,16 +164,7 @@ def _groups(
         seed=setting.seed,
     )
     drawn = _drawn(setting)
-    embedded: dict[str, dict[str, FloatArray]] = {}
-
-    def seen(shape: Shape) -> dict[str, FloatArray]:
-        if shape.name not in embedded:
-            mesh = shape.mesh()
-            embedded[shape.name] = {
-                name: model.embed_mesh(mesh, cache=setting.cache) for name, model in models.items()
-            }
-        return embedded[shape.name]
-
+    seen = embedder(setting, models)
     groups = []
     with setting.progress("matching", sum(map(len, drawn))) as went:
         for pairs in drawn:
@@ -185,7 +176,7 @@ def _groups(
                 ) -> Arrays:
                     seed = (setting.seed, place)
                     points = _sampled(source, target, excluded, seed)
-                    return _errors(seen(source), seen(target), source, target, points)
+                    return _errors(seen(source), seen(target), points)
 
                 part = content_key(
                     "pair", key=key, source=source.name, target=target.name, place=place
@@ -196,7 +187,7 @@ def _groups(
 
             def show(source: Shape = source, target: Shape = target) -> Arrays:
                 points = np.flatnonzero(_comparable(source, target, excluded))
-                errors = _errors(seen(source), seen(target), source, target, points, limit=NEAR)
+                errors = _errors(seen(source), seen(target), points, limit=NEAR)
                 right = np.zeros((len(models), len(source.correspondence())), dtype=bool)
                 right[:, points] = [errors[name] <= NEAR for name in models]
                 return dict(zip(models, right, strict=True))
@@ -262,35 +253,33 @@ def _sampled(
 
 
 def _errors(
-    source_values: Mapping[str, FloatArray],
-    target_values: Mapping[str, FloatArray],
-    source: Shape,
-    target: Shape,
+    source: Embedded,
+    target: Embedded,
     points: IntArray,
     *,
     limit: float = RADII[-1],
 ) -> Arrays:
     """Errors (p,) of each method over the diameter, infinite beyond a limit; and the disparity."""
-    mesh = target.mesh()
+    mesh = target.shape.mesh()
     graph = geodesic_graph(mesh)
     diameter = geodesic_diameter(mesh, graph=graph)
-    vertices = source.correspondence()[points]
+    vertices = source.index[points]
     predicted = [
-        nearest(source_values[name][vertices], target_values[name])[0] for name in source_values
+        nearest(values[vertices], target.values[name])[0] for name, values in source.values.items()
     ]
-    truths = [target.correspondence()[points]]
-    if target.symmetric is not None:
-        truths.append(target.symmetric()[points])
+    truths = [target.index[points]]
+    if target.shape.symmetric is not None:
+        truths.append(target.shape.symmetric()[points])
     errors = geodesic_errors(
         graph,
         np.concatenate(predicted),
         tuple(np.tile(truth, len(predicted)) for truth in truths),
         limit=limit * diameter,
     )
-    result: Arrays = {"disparity": np.array(_disparity(source, target))}
+    result: Arrays = {"disparity": np.array(_disparity(source.shape, target.shape))}
     for prefix, error in zip(("", _MIRRORED), (errors[0], np.fmin.reduce(errors)), strict=True):
         split = np.split(error / diameter, len(predicted))
-        result |= {f"{prefix}{name}": part for name, part in zip(source_values, split, strict=True)}
+        result |= {f"{prefix}{name}": part for name, part in zip(source.values, split, strict=True)}
     return result
 
 

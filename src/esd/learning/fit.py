@@ -98,11 +98,7 @@ def osd(
     if collection.store is None:
         recipe = with_knots(recipe, collection, cache=cache)
     table = described(collection)
-    mean, deviation = (
-        standardisation(table)
-        if training.standardise
-        else (np.zeros(recipe.width), np.ones(recipe.width))
-    )
+    mean, deviation = standardisation(table, wanted=training.standardise)
     near, far = _differences(table.standardised(mean, deviation), training, seed)
     metric = optimal_metric(near, far, training.outputs)
     card: dict[str, Any] = {

@@ -244,11 +244,15 @@ def _numbered(templates: list[str]) -> IntArray:
     return np.asarray(np.unique(templates, return_inverse=True)[1], dtype=np.int64)
 
 
-def standardisation(table: PointTable) -> tuple[FloatArray, FloatArray]:
+def standardisation(table: PointTable, *, wanted: bool = True) -> tuple[FloatArray, FloatArray]:
     """Mean and standard deviation of each column, (width,) each, over all vertices of all shapes.
 
-    Columns that never vary have deviation one.
+    Columns that never vary have deviation one. Unless it is wanted, zeros and ones, which change
+    nothing.
     """
+    if not wanted:
+        width = table.values.shape[1]
+        return np.zeros(width), np.ones(width)
     if table.stored is not None:
         return table.stored.mean, table.stored.deviation
     values = table.values[np.isfinite(table.values).all(axis=1)]

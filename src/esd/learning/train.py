@@ -151,10 +151,7 @@ def train(
         table = stored_table(collection, training.recipe, copies=training.remeshings)
     else:
         table = describe(with_remeshings(collection, training.remeshings, seed=seed))
-    width = training.recipe.width
-    mean, deviation = (
-        standardisation(table) if training.standardise else (np.zeros(width), np.ones(width))
-    )
+    mean, deviation = standardisation(table, wanted=training.standardise)
     table = table.standardised(mean, deviation, limit=training.limit)
     held_out = None
     if validation is not None:
