@@ -24,7 +24,7 @@ def test_the_doctor_tells_and_repairs(blob, tmp_path):
     told = run("doctor", broken).stdout
     assert "2 vertices without a face" in told
     assert "1 piece turned inside out" in told
-    assert "Remedy, with --repair: those with a rim" in told
+    assert "Remedy, with --repair: filled where the rim" in told
     found = json.loads(run("doctor", broken, "--repair", fixed, "--json").stdout)
     assert {f["kind"] for f in found["findings"]} >= {"unreferenced_vertices", "holes"}
     assert found["severity"] == "slight"

@@ -48,11 +48,18 @@ def test_what_is_left_out_has_no_match_on_either_side(blob):
     assert back.is_matched().all()
 
 
-def test_repaired_vertices_stand_for_those_of_the_file(blob):
-    hole = Mesh(blob.vertices, blob.faces[(blob.faces != 7).all(axis=1)])
-    forth = match(blob, repair(hole, everything=True), model=MODEL)
-    assert forth.target_index.max() < len(blob.vertices)
-    assert 7 not in forth.target_index
+def test_what_would_lie_in_a_hole_goes_to_its_rim_without_confidence(blob):
+    far = np.linalg.norm(blob.vertices - blob.vertices[7], axis=1)
+    hole = Mesh(blob.vertices, blob.faces[(far[blob.faces] > 0.3).all(axis=1)])
+    kept = np.unique(hole.faces)
+    forth = match(blob, hole, model=MODEL)
+    assert np.isin(forth.target_index, kept).all()
+    missing = np.setdiff1d(np.arange(len(blob.vertices)), kept)
+    assert (forth.confidence[missing] == 0).sum() >= 5
+    assert forth.confidence[missing].mean() < 0.3 < 0.9 < forth.confidence[kept].mean()
+    assert far[forth.target_index[missing]].max() < 0.5
+    back = match(hole, blob, model=MODEL)
+    np.testing.assert_array_equal(np.flatnonzero(back.is_matched()), kept)
 
 
 def test_a_spectrum_of_a_repaired_mesh_is_carried_back_whole(blob):

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from esd.common import InputError, IntArray
+from esd.mesh.doctor import Repaired, repair
 from esd.mesh.mesh import Mesh
 
 
@@ -145,13 +146,35 @@ class Collection:
         return tuple(different or every)
 
 
-def check_correspondence(shape: Shape, index: IntArray, mesh: Mesh) -> None:
-    """Raise an `InputError` if a correspondence of a shape names a vertex that its mesh lacks."""
-    if index.max() >= len(mesh.vertices):
-        raise InputError(
-            f"The correspondence of '{shape.name}' names vertex {index.max()} (from 0); "
-            f"its mesh has {len(mesh.vertices)} vertices."
-        )
+def mended(shape: Shape) -> tuple[Repaired, IntArray, IntArray | None]:
+    """A shape as it is matched, with all its pieces; and the vertices of the mended mesh.
+
+    The vertices are those of `Shape.correspondence` and `Shape.symmetric`, -1 where they could not
+    be carried over.
+
+    Raises
+    ------
+    InputError
+        If a correspondence names a vertex that the mesh lacks, or nothing of it can be used.
+    """
+    mesh, index = shape.mesh(), shape.correspondence()
+    symmetric = None if shape.symmetric is None else shape.symmetric()
+    for truth in (index, symmetric):
+        if truth is not None and truth.max() >= len(mesh.vertices):
+            raise InputError(
+                f"The correspondence of '{shape.name}' names vertex {truth.max()} (from 0); "
+                f"its mesh has {len(mesh.vertices)} vertices."
+            )
+    try:
+        repaired = repair(mesh, all_pieces=True, fill_holes=True)
+    except InputError as error:
+        raise InputError(f"'{shape.name}': {error}") from error
+    after, symmetric_after = (
+        None if truth is None else np.where(truth >= 0, repaired.vertex_index[truth], -1)
+        for truth in (index, symmetric)
+    )
+    assert after is not None
+    return repaired, after, symmetric_after
 
 
 def read_pairs(

@@ -13,10 +13,11 @@ import numpy as np
 import numpy.typing as npt
 
 from esd.common import InputError, IntArray, whole_file
-from esd.datasets.collection import Collection, Shape, check_correspondence
+from esd.datasets.collection import Collection, Shape, mended
 from esd.datasets.remeshing import with_remeshings
 from esd.datasets.store import Store, StoredShape, open_store, save_store
 from esd.descriptors.recipe import Recipe, descriptors
+from esd.mesh.mesh import Mesh
 from esd.parallel import outcomes
 from esd.spectral.cache import content_key, default_cache
 
@@ -155,8 +156,9 @@ def _check_same(store: Store, collection: Collection, recipe: Recipe, remeshings
 def _described(job: _Job, *, recipe: Recipe, parts: Path) -> _Described:
     """Compute the part of a shape, unless it is there."""
     shape = job.shape
-    mesh, index = shape.mesh(), shape.correspondence()
-    check_correspondence(shape, index, mesh)
+    repaired, index, _ = mended(shape)
+    mesh = repaired.shape
+    assert isinstance(mesh, Mesh)
     key = content_key(
         "described", mesh.vertices, mesh.faces, index, recipe=recipe.to_json(), version=_VERSION
     )

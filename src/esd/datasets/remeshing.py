@@ -10,6 +10,7 @@ import numpy as np
 
 from esd.common import InputError, IntArray
 from esd.datasets.collection import Collection, Shape
+from esd.mesh.doctor import repair
 from esd.mesh.mesh import Mesh
 from esd.mesh.remesh import STYLES, Style, remesh
 from esd.spectral.cache import Arrays, content_key, default_cache
@@ -98,8 +99,10 @@ def copy_name(name: str, copy: int) -> str:
 
 @lru_cache(maxsize=4)  # mesh and correspondences are asked for one after the other
 def _remeshed(made: _Remeshing) -> tuple[Mesh, IntArray]:
-    """The new mesh, and its vertex nearest to each old one, from the user's cache."""
-    old = made.shape.mesh()
+    """The new mesh, and its vertex nearest to each old one or -1, from the user's cache."""
+    repaired = repair(made.shape.mesh(), all_pieces=True, fill_holes=True)
+    old, place = repaired.shape, repaired.vertex_index
+    assert isinstance(old, Mesh)
 
     def compute() -> Arrays:
         try:
@@ -117,4 +120,5 @@ def _remeshed(made: _Remeshing) -> tuple[Mesh, IntArray]:
     parameters = {"count": made.vertex_count, "style": str(made.style), "seed": made.seed}
     key = content_key("remeshed", old.vertices, old.faces, **parameters)
     arrays = compute() if store is None else store.computed(key, compute)
-    return Mesh(arrays["vertices"], arrays["faces"]), arrays["nearest"]
+    nearest = np.where(place >= 0, arrays["nearest"][place], -1)
+    return Mesh(arrays["vertices"], arrays["faces"]), nearest

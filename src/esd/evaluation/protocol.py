@@ -13,7 +13,7 @@ from multiprocessing import get_context
 import numpy as np
 
 from esd.common import FloatArray, InputError, IntArray
-from esd.datasets.collection import Shape, check_correspondence
+from esd.datasets.collection import Shape, mended
 from esd.evaluation.errors import area_under_curve, geodesic_errors
 from esd.learning.model import Model
 from esd.matching.described import describe
@@ -93,10 +93,25 @@ class Evaluation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Embedded:
+    """A shape as it is matched, and as it is measured.
+
+    Parameters
+    ----------
+    mesh
+        On which errors are measured: mended, with its holes.
+    pairs, values
+        Spectrum and embedding (r, d) of the same with small holes filled.
+    stands : (r,)
+        The vertex of `mesh` that each stands for: itself, or one on the rim of the hole it fills.
+    index, symmetric
+        Vertices at the points of the template.
+    """
+
     name: str
     mesh: Mesh
     pairs: Spectrum
     values: FloatArray
+    stands: IntArray
     index: IntArray
     symmetric: IntArray | None
 
@@ -168,23 +183,20 @@ def _mapping(processes: int) -> Iterator[Callable[..., Iterable[list[PairErrors]
 
 
 def _embedded(model: Model, shape: Shape, cache: Cache | None) -> _Embedded:
-    mesh = shape.mesh()
-    index = shape.correspondence()
-    symmetric = shape.symmetric() if shape.symmetric is not None else None
-    for truth in (index, symmetric):
-        if truth is not None:
-            check_correspondence(shape, truth, mesh)
-    repaired = repair(mesh, all_pieces=True)  # as maps are made
-    assert isinstance(repaired.shape, Mesh)
-    mesh = repaired.shape
-    index = np.where(index >= 0, repaired.vertex_index[index], -1)
-    if symmetric is not None:
-        symmetric = np.where(symmetric >= 0, repaired.vertex_index[symmetric], -1)
+    repaired, index, symmetric = mended(shape)
     try:
         described = describe(repaired, model=model, cache=cache)
     except InputError as error:
         raise InputError(f"'{shape.name}': {error}") from error
-    return _Embedded(shape.name, mesh, described.spectrum, described.embedded, index, symmetric)
+    mesh, stands = repaired.shape, np.arange(len(repaired.original_index))
+    if repaired.filling:
+        mesh = repair(shape.mesh(), all_pieces=True).shape
+        fill = slice(len(mesh.vertices), None)
+        stands[fill] = repaired.vertex_index[repaired.original_index[fill]]
+    assert isinstance(mesh, Mesh)
+    return _Embedded(
+        shape.name, mesh, described.spectrum, described.embedded, stands, index, symmetric
+    )
 
 
 def _errors_on_target(
@@ -198,7 +210,8 @@ def _errors_on_target(
     for source in sources:
         spectra = (source.pairs, target.pairs) if refine else None
         match = match_embedded(source.values, target.values, margin=margin, spectra=spectra)
-        maps.append(match.rejecting(threshold).target_index)
+        matched = match.rejecting(threshold).target_index
+        maps.append(np.where(matched >= 0, target.stands[matched], -1)[: len(source.mesh.vertices)])
     # all maps at once, so that each target vertex is the source of distances only once
     predicted = [
         np.where(source.index >= 0, index[source.index], -1)

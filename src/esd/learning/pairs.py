@@ -10,11 +10,12 @@ import numpy.typing as npt
 
 from esd.baselines.patches import Patches, patch_operator
 from esd.common import FloatArray, InputError, IntArray
-from esd.datasets.collection import Collection, check_correspondence
+from esd.datasets.collection import Collection, mended
 from esd.datasets.remeshing import copy_name
 from esd.datasets.store import open_store
 from esd.descriptors.recipe import Recipe, descriptors
 from esd.learning.model import standardised
+from esd.mesh.mesh import Mesh
 from esd.spectral.cache import Cache
 from esd.spectral.laplacian import SparseMatrix
 
@@ -180,9 +181,9 @@ def point_table(
         raise InputError(f"'{collection.store}' is a store; see `stored_table`.")
     values, rows, operators, start = [], [], [], 0
     for shape in collection.shapes:
-        mesh = shape.mesh()
-        index = shape.correspondence()
-        check_correspondence(shape, index, mesh)
+        repaired, index, _ = mended(shape)
+        mesh = repaired.shape
+        assert isinstance(mesh, Mesh)
         try:
             columns = descriptors(recipe, mesh, cache=cache)
             if patches is not None:

@@ -8,7 +8,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 from scipy import sparse
 
-from esd.common import FloatArray, IntArray
+from esd.common import BoolArray, FloatArray, IntArray
 from esd.mesh.mesh import Mesh, edges, face_areas, is_referenced, surface_area, vertex_normals
 
 Verdict: TypeAlias = Literal["good", "doubtful", "failed", "mirrored"]
@@ -36,8 +36,8 @@ class Judgement:
     verdict
         `good`, `doubtful`, `failed`, or `mirrored`.
     expected_accuracy
-        Mean confidence of all source vertices that have a face: the share that should lie within
-        5 % of the geodesic diameter of the truth.
+        Mean confidence of all source vertices that have a face: the share that should have a
+        counterpart and lie within 5 % of the geodesic diameter of it.
     orientation
         Between −1 and 1: the share of the source's surface, by area, that keeps its side under
         the map less the share that is turned over, as the faces of both files are wound.
@@ -120,6 +120,7 @@ def judgement(
     target_index: IntArray,
     values: FloatArray,
     *,
+    counted: BoolArray | None = None,
     turned_over: bool = False,
 ) -> Judgement:
     """The verdict on a map, from its `confidence` and its `orientation`.
@@ -128,10 +129,13 @@ def judgement(
     ----------
     values : (n,)
         The confidence.
+    counted : (n,)
+        Vertices whose confidence counts, by default all that have a face.
     turned_over
         Whether the faces of just one of the meshes were turned before it was matched.
     """
-    accuracy = float(values[is_referenced(source)].mean())
+    counted = is_referenced(source) if counted is None else counted
+    accuracy = float(values[counted].mean())
     side = orientation(source, target, target_index) * (-1 if turned_over else 1)
     if side < 0 and accuracy >= _FAILED:
         return Judgement("mirrored", accuracy, side)

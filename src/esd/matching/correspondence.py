@@ -31,7 +31,8 @@ class Correspondence:
         Euclidean distance of the two descriptors; infinite for none.
     confidence : (n,)
         Between 0 and 1: of maps by `match` between meshes, the probability that the match is
-        within 5 % of the target's geodesic diameter of the truth; otherwise the similarity of the
+        within 5 % of the target's geodesic diameter of the truth, and zero where that would lie in
+        a hole of the target; otherwise the similarity of the
         two descriptors, exp(−distance² / C).
     judgement
         Of the map as a whole, where it was judged.

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from esd.common import FloatArray, IntArray
+from esd.common import BoolArray, FloatArray, IntArray
 from esd.descriptors.recipe import recipe_spectrum
 from esd.learning.model import Model
 from esd.mesh.doctor import Repaired
@@ -34,6 +34,8 @@ class Described:
     vertex_index, original_index : (n,) and (r,)
         The vertex of the shape of each of the n original ones, and back, see
         `esd.mesh.doctor.Repaired`. Where the shape is a coarse copy: of the repaired mesh.
+    filling
+        How many of the last vertices of the repaired mesh fill holes.
     copy
         Where the vertices of the repaired mesh lie on the coarse copy, if the shape is one.
     """
@@ -44,7 +46,13 @@ class Described:
     is_turned: bool
     vertex_index: IntArray
     original_index: IntArray
+    filling: int = 0
     copy: CoarseCopy | None = None
+
+    def is_filling(self) -> BoolArray:
+        """Whether each vertex of the repaired mesh fills a hole, (r,)."""
+        count = len(self.original_index)
+        return np.arange(count) >= count - self.filling
 
 
 def describe(
@@ -83,6 +91,7 @@ def describe(
         "inside_out_pieces" in repaired.done and "inconsistent_winding" not in repaired.done,
         repaired.vertex_index,
         repaired.original_index,
+        repaired.filling,
         copy,
     )
 
@@ -100,6 +109,7 @@ def keep(described: Described, folder: Path) -> None:
         "is_turned": np.array(described.is_turned),
         "vertex_index": described.vertex_index,
         "original_index": described.original_index,
+        "filling": np.array(described.filling),
     }
     if isinstance(described.shape, Mesh):
         arrays["faces"] = described.shape.faces
@@ -135,5 +145,6 @@ def kept(folder: Path) -> Described:
         bool(arrays["is_turned"]),
         arrays["vertex_index"],
         arrays["original_index"],
+        int(arrays["filling"]),
         copy,
     )

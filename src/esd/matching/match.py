@@ -18,7 +18,7 @@ from esd.matching.described import Described, describe
 from esd.matching.nearest import nearest
 from esd.matching.refine import SIZES, joint_rows, mean_squared_distance, zoomout
 from esd.mesh.doctor import Repaired, repair
-from esd.mesh.mesh import Mesh, MeshLike, PointCloud
+from esd.mesh.mesh import Mesh, MeshLike, PointCloud, is_referenced
 from esd.spectral.cache import Cache, default_cache
 from esd.spectral.spectrum import Spectrum
 
@@ -49,8 +49,8 @@ def match(
     ----------
     source, target
         Meshes, or whatever `as_mesh` takes, or points without faces. What is wrong with them is
-        logged in one line, and what can be mended without harm is, see `esd.mesh.doctor`. The map
-        is that of the original vertices; those left out have no match.
+        logged in one line, and what can be mended without harm is, see `esd.mesh.doctor`; small
+        holes are filled. The map is that of the original vertices; those left out have no match.
     model
         A `Model`, or what `load_model` takes.
     refine
@@ -71,7 +71,7 @@ def match(
     check_copies(one_to_one=one_to_one, coarse=coarse)
     model = model if isinstance(model, Model) else load_model(model)
     cache = default_cache() if cache is None else cache
-    shapes = repair(source), repair(target)
+    shapes = repair(source, fill_holes=True), repair(target, fill_holes=True)
     for name, each in zip(("source", "target"), shapes, strict=True):
         count = len(each.shape.vertices)
         if coarse is None and count > DENSE and isinstance(each.shape, Mesh):
@@ -141,11 +141,16 @@ def _judged(
     if isinstance(source.shape, PointCloud) or isinstance(target.shape, PointCloud):
         return match
     values = confidence(source.shape, target.shape, match.target_index, back.target_index)
+    counted = None
+    if source.copy is None and target.copy is None:
+        counted = is_referenced(source.shape) & ~source.is_filling()
+        values[target.is_filling()[match.target_index]] = 0.0
     verdict = judgement(
         source.shape,
         target.shape,
         match.target_index,
         values,
+        counted=counted,
         turned_over=source.is_turned != target.is_turned,
     )
     return replace(match, confidence=values, judgement=verdict)
@@ -154,14 +159,19 @@ def _judged(
 def _for_original_vertices(
     match: Correspondence, source: Described, target: Described
 ) -> Correspondence:
-    """The map between the original vertices, of one between repaired shapes."""
+    """The map between the original vertices, of one between repaired shapes.
+
+    What comes to lie in a hole of the target goes to its rim, without confidence: it has no
+    counterpart.
+    """
     index = match.target_index[source.vertex_index]
     matched = (source.vertex_index >= 0) & (index >= 0)
+    sure = matched & ~target.is_filling()[index]
     return replace(
         match,
         target_index=np.where(matched, target.original_index[index], -1),
         distance=np.where(matched, match.distance[source.vertex_index], np.inf),
-        confidence=np.where(matched, match.confidence[source.vertex_index], 0.0),
+        confidence=np.where(sure, match.confidence[source.vertex_index], 0.0),
     )
 
 

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from esd.common import BoolArray, FloatArray, InputError, IntArray
+from esd.mesh.filling import holes_filled
 from esd.mesh.findings import FEW_VERTICES, SMALL_HOLE, Diagnosis, Finding
 from esd.mesh.mesh import (
     Mesh,
@@ -30,7 +31,6 @@ from esd.mesh.topology import (
     compacted,
     cut_apart,
     fan_count,
-    holes_filled,
     is_collapsed,
     is_inward,
     is_repeated,
@@ -64,6 +64,8 @@ class Repaired:
         The repaired vertex of each original one; -1 where it could not be carried over.
     original_index : (r,)
         The original vertex of each repaired one, for those that fill a hole one on its rim.
+    filling
+        How many of the last vertices of the shape fill holes.
     diagnosis
         What was found by the quick diagnosis.
     done
@@ -75,6 +77,7 @@ class Repaired:
     original_index: IntArray
     diagnosis: Diagnosis
     done: frozenset[str] = frozenset()
+    filling: int = 0
 
     def in_a_line(self) -> str:
         """What was found, and what was done about it, in one line; empty if nothing was."""
@@ -139,7 +142,11 @@ def diagnose(source: MeshLike, *, thorough: bool = True) -> Diagnosis:
 
 
 def repair(
-    source: MeshLike | Repaired, *, everything: bool = False, all_pieces: bool = False
+    source: MeshLike | Repaired,
+    *,
+    everything: bool = False,
+    all_pieces: bool = False,
+    fill_holes: bool = False,
 ) -> Repaired:
     """A shape without what could be repaired, and which vertex became which.
 
@@ -158,6 +165,8 @@ def repair(
         missing.
     all_pieces
         Whether all connected pieces are kept, and not only the one with the largest area.
+    fill_holes
+        Whether small holes are filled also if not everything is repaired.
 
     Raises
     ------
@@ -177,6 +186,8 @@ def repair(
     if mesh is None or not surface_area(mesh) > 0:
         raise InputError(f"Nothing of the mesh can be used: {diagnosis.in_a_line()}.")
     done = {f.kind for f in diagnosis.findings if f.always_repaired or everything}
+    if fill_holes:
+        done |= {"holes"} & {f.kind for f in diagnosis.findings}
     if all_pieces:
         done.discard("loose_pieces")
     original = np.arange(len(vertices), dtype=np.int64)
@@ -188,15 +199,16 @@ def repair(
     if everything or "non_manifold_vertices" in done:
         mesh, original = cut_apart(mesh, at_edges=everything)
     mesh = turned_outward(mesh)
-    if everything:
-        mesh, on_rim = holes_filled(mesh, shorter_than=SMALL_HOLE)
-        original = np.concatenate([original, original[on_rim]])
     if not all_pieces:
         mesh = largest_piece(mesh)
+    on_rim = np.zeros(0, dtype=np.int64)
+    if "holes" in done:
+        mesh, on_rim = holes_filled(mesh, shorter_than=SMALL_HOLE)
+        original = np.concatenate([original, original[on_rim]])
     index = np.where(is_referenced(mesh)[index], index, -1)
     if done <= {"unreferenced_vertices"}:
         mesh = Mesh(vertices, faces)  # the very same, and so known to the caches
-    return Repaired(mesh, index, original, diagnosis, frozenset(done))
+    return Repaired(mesh, index, original, diagnosis, frozenset(done), len(on_rim))
 
 
 def usable_part(source: MeshLike) -> Mesh:

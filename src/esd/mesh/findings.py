@@ -7,7 +7,7 @@ from typing import Literal, TypeAlias
 
 Severity: TypeAlias = Literal["harmless", "slight", "serious"]
 
-SMALL_HOLE = 0.5
+SMALL_HOLE = 1.0
 """Holes with a shorter rim, in units of √area, are filled; longer ones may be the shape's own."""
 
 FEW_VERTICES = 300
@@ -150,10 +150,10 @@ _KINDS = {
     "holes": _Kind(
         "hole",
         "holes",
-        SMALL_HOLE,
-        "Small ones change descriptors nearby. A large one may be where a part is missing, which "
-        "changes them everywhere.",
-        f"those with a rim shorter than {SMALL_HOLE:g} √area are filled",
+        0.5,
+        "Descriptors change nearby, and what tells left from right everywhere; to match, those "
+        "that can be are filled unasked. A large one may be where a part is missing.",
+        f"filled where the rim is shorter than {SMALL_HOLE:g} √area",
     ),
     "loose_pieces": _Kind(
         "loose piece",

@@ -15,7 +15,6 @@ from esd.mesh.mesh import (
     edge_lengths,
     face_areas,
     is_referenced,
-    surface_area,
 )
 
 
@@ -242,33 +241,6 @@ def rims(mesh: Mesh, sides: Sides) -> tuple[IntArray, FloatArray]:
     ends = mesh.vertices[start] - mesh.vertices[end]
     length = np.bincount(rim, weights=np.linalg.norm(ends, axis=1))
     return np.stack([start, end, rim], axis=1), np.asarray(length, dtype=float)
-
-
-def holes_filled(mesh: Mesh, *, shorter_than: float) -> tuple[Mesh, IntArray]:
-    """The mesh with small holes filled, each by a fan around a new vertex in its middle.
-
-    With it comes a vertex on the rim of each, (holes,).
-
-    Parameters
-    ----------
-    shorter_than
-        Length of the rims, in units of the square root of the area.
-    """
-    edges, length = rims(mesh, sides_of(mesh))
-    small = length < shorter_than * surface_area(mesh) ** 0.5
-    if not small.any():
-        return mesh, np.zeros(0, dtype=np.int64)
-    start, end, rim = edges[small[edges[:, 2]]].T
-    _, first, hole, size = np.unique(
-        rim, return_index=True, return_inverse=True, return_counts=True
-    )
-    middle = [np.bincount(hole, weights=mesh.vertices[start, i]) / size for i in range(3)]
-    fan = np.stack([end, start, len(mesh.vertices) + hole], axis=1)
-    filled = Mesh(
-        np.concatenate([mesh.vertices, np.stack(middle, axis=1)]),
-        np.concatenate([mesh.faces, fan]),
-    )
-    return filled, start[first]
 
 
 def piece_of_faces(mesh: Mesh) -> IntArray:
