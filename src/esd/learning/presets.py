@@ -139,7 +139,7 @@ PRESETS = {
         convolutions=(1, 2),
         learning_rate=3e-3,
         schedule="cosine",
-        steps=1000,
+        steps=3000,
         look_every=100,
     ),
 }
