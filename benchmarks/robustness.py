@@ -224,7 +224,7 @@ def rows(
     for name in alterations:
         rng = np.random.default_rng(int(source.name[-3:]))
         vertices, faces, index = ALTERATIONS[name](source.mesh(), rng)
-        mended = repair((vertices, faces), fill_holes=True)
+        mended = repair((vertices, faces), restore=True)
         other = describe(mended, model=model)
         found = match_described(other, clean, model=model, refine=None, one_to_one=False)
         here = index[source.correspondence()[points]]

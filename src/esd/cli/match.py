@@ -120,7 +120,7 @@ def match(
         free_path(page, force=force)
         drawn = usable_part(source), usable_part(target)
     loaded = load_model(model)
-    shapes = [repaired(path, everything=repair, fill_holes=True) for path in (source, target)]
+    shapes = [repaired(path, everything=repair, restore=True) for path in (source, target)]
     result = match_meshes(
         *shapes, model=loaded, refine=refine, one_to_one=one_to_one, coarse=coarse
     )

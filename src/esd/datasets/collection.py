@@ -147,7 +147,7 @@ class Collection:
 
 
 def mended(shape: Shape) -> tuple[Repaired, IntArray, IntArray | None]:
-    """A shape as it is matched, with all its pieces; and the vertices of the mended mesh.
+    """A shape as it is matched, with all its pieces, and the vertices of the mended mesh.
 
     The vertices are those of `Shape.correspondence` and `Shape.symmetric`, -1 where they could not
     be carried over.
@@ -166,7 +166,7 @@ def mended(shape: Shape) -> tuple[Repaired, IntArray, IntArray | None]:
                 f"its mesh has {len(mesh.vertices)} vertices."
             )
     try:
-        repaired = repair(mesh, all_pieces=True, fill_holes=True)
+        repaired = repair(mesh, all_pieces=True, restore=True)
     except InputError as error:
         raise InputError(f"'{shape.name}': {error}") from error
     after, symmetric_after = (

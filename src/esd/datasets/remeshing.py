@@ -100,7 +100,7 @@ def copy_name(name: str, copy: int) -> str:
 @lru_cache(maxsize=4)  # mesh and correspondences are asked for one after the other
 def _remeshed(made: _Remeshing) -> tuple[Mesh, IntArray]:
     """The new mesh, and its vertex nearest to each old one or -1, from the user's cache."""
-    repaired = repair(made.shape.mesh(), all_pieces=True, fill_holes=True)
+    repaired = repair(made.shape.mesh(), all_pieces=True, restore=True)
     old, place = repaired.shape, repaired.vertex_index
     assert isinstance(old, Mesh)
 

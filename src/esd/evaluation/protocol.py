@@ -98,9 +98,9 @@ class _Embedded:
     Parameters
     ----------
     mesh
-        On which errors are measured: mended, with its holes.
+        On which errors are measured: mended, but not restored.
     pairs, values
-        Spectrum and embedding (r, d) of the same with small holes filled.
+        Spectrum and embedding (r, d) of the same restored, see `esd.mesh.doctor.repair`.
     stands : (r,)
         The vertex of `mesh` that each stands for: itself, or one on the rim of the hole it fills.
     index, symmetric
@@ -189,7 +189,7 @@ def _embedded(model: Model, shape: Shape, cache: Cache | None) -> _Embedded:
     except InputError as error:
         raise InputError(f"'{shape.name}': {error}") from error
     mesh, stands = repaired.shape, np.arange(len(repaired.original_index))
-    if repaired.filling:
+    if repaired.done & {"holes", "folded_edges"}:
         mesh = repair(shape.mesh(), all_pieces=True).shape
         fill = slice(len(mesh.vertices), None)
         stands[fill] = repaired.vertex_index[repaired.original_index[fill]]

@@ -177,7 +177,7 @@ def _matching(
 
     @cache
     def clean() -> dict[str, Described]:
-        return _described(models, repair(target.mesh(), fill_holes=True), setting.cache)
+        return _described(models, repair(target.mesh(), restore=True), setting.cache)
 
     def matched(noise: str, level: float) -> Arrays:
         part = content_key(
@@ -210,7 +210,7 @@ def _maps_of_pair(
     there = target.correspondence()
     disturbed = _disturbed(noise, source.mesh(), level, seed=seed)
     here = _followed(source.correspondence(), disturbed.vertex_index)
-    rest = _described(models, repair(disturbed.mesh, fill_holes=True), None)
+    rest = _described(models, repair(disturbed.mesh, restore=True), None)
     forth = _matches(models, rest, clean)
     reverse = np.full((len(models), len(there)), np.nan)
     if noise in PARTIAL:

@@ -176,7 +176,7 @@ def _describe(
     coarse: int | None,
 ) -> None:
     """Compute all that matching takes of a shape, and put it in a folder."""
-    shape = repair(file, everything=everything, fill_holes=True)
+    shape = repair(file, everything=everything, restore=True)
     keep(describe(shape, model=model, coarse=coarse, cache=default_cache()), places[file])
 
 

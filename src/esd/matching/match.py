@@ -49,8 +49,9 @@ def match(
     ----------
     source, target
         Meshes, or whatever `as_mesh` takes, or points without faces. What is wrong with them is
-        logged in one line, and what can be mended without harm is, see `esd.mesh.doctor`; small
-        holes are filled. The map is that of the original vertices; those left out have no match.
+        logged in one line, and what can be mended without harm is, small holes and noise included,
+        see `esd.mesh.doctor`. The map is that of the original vertices; those left out have no
+        match.
     model
         A `Model`, or what `load_model` takes.
     refine
@@ -71,7 +72,7 @@ def match(
     check_copies(one_to_one=one_to_one, coarse=coarse)
     model = model if isinstance(model, Model) else load_model(model)
     cache = default_cache() if cache is None else cache
-    shapes = repair(source, fill_holes=True), repair(target, fill_holes=True)
+    shapes = repair(source, restore=True), repair(target, restore=True)
     for name, each in zip(("source", "target"), shapes, strict=True):
         count = len(each.shape.vertices)
         if coarse is None and count > DENSE and isinstance(each.shape, Mesh):

@@ -26,6 +26,7 @@ from esd.mesh.mesh import (
     is_referenced,
     surface_area,
 )
+from esd.mesh.smoothing import smoothed
 from esd.mesh.topology import (
     Sides,
     compacted,
@@ -146,7 +147,7 @@ def repair(
     *,
     everything: bool = False,
     all_pieces: bool = False,
-    fill_holes: bool = False,
+    restore: bool = False,
 ) -> Repaired:
     """A shape without what could be repaired, and which vertex became which.
 
@@ -161,12 +162,13 @@ def repair(
         What `as_mesh` takes, or points without faces; what was repaired before stays as it is.
     everything
         Whether also what may change a sound part of the shape is done: cutting sheets apart along
-        edges of more than two faces, filling small holes, leaving out faces of which a vertex is
-        missing.
+        edges of more than two faces, leaving out faces of which a vertex is missing, and what
+        `restore` does.
     all_pieces
         Whether all connected pieces are kept, and not only the one with the largest area.
-    fill_holes
-        Whether small holes are filled also if not everything is repaired.
+    restore
+        Whether the surface is restored even if not everything is repaired: small holes filled,
+        noise smoothed. Maps become better, while areas and lengths are no longer those measured.
 
     Raises
     ------
@@ -186,8 +188,8 @@ def repair(
     if mesh is None or not surface_area(mesh) > 0:
         raise InputError(f"Nothing of the mesh can be used: {diagnosis.in_a_line()}.")
     done = {f.kind for f in diagnosis.findings if f.always_repaired or everything}
-    if fill_holes:
-        done |= {"holes"} & {f.kind for f in diagnosis.findings}
+    if restore:
+        done |= {"holes", "folded_edges"} & {f.kind for f in diagnosis.findings}
     if all_pieces:
         done.discard("loose_pieces")
     original = np.arange(len(vertices), dtype=np.int64)
@@ -205,6 +207,8 @@ def repair(
     if "holes" in done:
         mesh, on_rim = holes_filled(mesh, shorter_than=SMALL_HOLE)
         original = np.concatenate([original, original[on_rim]])
+    if "folded_edges" in done:
+        mesh = smoothed(mesh)
     index = np.where(is_referenced(mesh)[index], index, -1)
     if done <= {"unreferenced_vertices"}:
         mesh = Mesh(vertices, faces)  # the very same, and so known to the caches

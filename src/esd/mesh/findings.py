@@ -136,8 +136,9 @@ _KINDS = {
         "edge folded by more than a right angle",
         "edges folded by more than a right angle",
         0.15,
-        "Noise folds a surface: its distances grow, and fine descriptors change.",
-        "smooth the mesh",
+        "Noise folds a surface: its area and distances grow, and descriptors change; to match, it "
+        "is smoothed unasked.",
+        "smoothed",
     ),
     "inside_out_pieces": _Kind(
         "piece turned inside out",
