@@ -50,3 +50,13 @@ def test_rims_that_are_no_simple_loop_and_long_ones_stay():
     assert holes_filled(eight, shorter_than=9.0)[0] is eight
     bowl = without(SPHERE, SPHERE.vertices[:, 2] > 0.2)
     assert holes_filled(bowl, shorter_than=1.0)[0] is bowl
+
+
+def test_a_rim_in_one_place_is_filled():
+    pierced = without(SPHERE, SPHERE.vertices[:, 2] > 0.95)
+    rim = np.unique(boundary_edges(pierced))
+    vertices = SPHERE.vertices.copy()
+    vertices[rim] = [0, 0, 1]
+    filled, _ = holes_filled(Mesh(vertices, pierced.faces), shorter_than=0.5)
+    assert len(boundary_edges(filled)) == 0
+    np.testing.assert_allclose(filled.vertices[len(vertices) :], [[0, 0, 1]], atol=0.05)

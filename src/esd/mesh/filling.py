@@ -71,7 +71,7 @@ def _patch(points: FloatArray) -> tuple[IntArray, IntArray]:
         return outer[None], np.zeros(0, dtype=np.int64)
     radius = np.linalg.norm(points - points.mean(axis=0), axis=1).mean()
     step = np.linalg.norm(points - np.roll(points, 1, axis=0), axis=1).mean()
-    rings = min(_RINGS, max(1, round(radius / step)))
+    rings = min(_RINGS, max(1, round(radius / max(step, np.finfo(float).tiny))))
     faces, parents, count = [], [], len(points)
     for ring in range(1, rings):
         size = max(3, round(len(points) * (1 - ring / rings)))
