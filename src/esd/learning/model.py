@@ -165,8 +165,9 @@ def standardised(
     values: FloatArray, mean: FloatArray, deviation: FloatArray, *, limit: float | None
 ) -> FloatArray:
     """Descriptors (n, width) less their mean, in deviations, (width,) each, cut off at a limit."""
-    result = (values - mean) / deviation
-    return result if limit is None else np.clip(result, -limit, limit)
+    result = values - mean
+    result /= deviation
+    return result if limit is None else np.clip(result, -limit, limit, out=result)
 
 
 def raw_model(kind: str) -> Model:

@@ -44,15 +44,16 @@ def _by_tree(source: FloatArray, target: FloatArray) -> tuple[IntArray, FloatArr
 
 
 def _by_products(source: FloatArray, target: FloatArray) -> tuple[IntArray, FloatArray]:
-    """By |s − t|² = |s|² − 2 s·t + |t|², centred, so that little cancels."""
+    """By |s − t|² = |s|² − 2 (s·t − |t|² / 2), centred, so that little cancels."""
     centre = target.mean(axis=0)
     source, target = source - centre, target - centre
-    half_squares = np.einsum("ij,ij->i", target, target) / 2
+    # one column more, so that a product of matrices gives all of the bracket
+    half_squares = np.einsum("ij,ij->i", target, target)[:, None] / 2
+    lifted = np.hstack([target, -half_squares]).T
+    rows = np.hstack([source, np.ones((len(source), 1), dtype=source.dtype)])
     index = np.empty(len(source), dtype=np.int64)
     for part in _parts(len(source), len(target)):
-        products = source[part] @ target.T
-        np.subtract(half_squares, products, out=products)
-        index[part] = products.argmin(axis=1)
+        index[part] = (rows[part] @ lifted).argmax(axis=1)
     return index, np.linalg.norm(source - target[index], axis=1)
 
 
