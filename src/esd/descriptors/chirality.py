@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -77,23 +78,28 @@ def gradient_products(
             "cannot be told from right. Repair it first (esd doctor MESH --repair OUT), or take a "
             "model of HKS or WKS alone."
         )
-    f, g = fields[:, pairs[:, 0]], fields[:, pairs[:, 1]]
+    f, g = pairs.T
     to_vertices = _thirds(mesh)
-    weights = cotangents(mesh)
-    squared = to_vertices @ _inner(mesh, weights, fields, fields)
-    product = to_vertices @ (_wedge(mesh, f, g) if parity == "odd" else _inner(mesh, weights, f, g))
+    steps = [fields[mesh.faces[:, i - 1]] - fields[mesh.faces[:, i - 2]] for i in range(3)]
+    weights, every = cotangents(mesh), np.arange(fields.shape[1])
+    squared = to_vertices @ _inner(weights, steps, every, every)
+    product = to_vertices @ (
+        _wedge(steps, f, g) if parity == "odd" else _inner(weights, steps, f, g)
+    )
     area, vectors = spectrum.area, spectrum.eigenvectors
     floor = _FLOOR * squared.sum(axis=0) / area
-    squared, product = vectors.T @ squared, vectors.T @ product
-    columns = []
-    for time in times:
-        decay = np.exp(-time * area * spectrum.eigenvalues)[:, None]
-        size = np.sqrt(np.maximum(vectors @ (decay * squared), floor))
-        columns.append(
-            (vectors @ (decay * product))
-            / np.maximum(size[:, pairs[:, 0]] * size[:, pairs[:, 1]], np.finfo(float).tiny)
-        )
-    return np.concatenate(columns, axis=1)
+    decay = np.exp(-area * spectrum.eigenvalues[:, None] * times)[:, :, None]
+
+    def diffused(values: FloatArray) -> FloatArray:
+        """Over all times, (n, t, columns)."""
+        smoothed = decay * (vectors.T @ values)[:, None]
+        return (vectors @ smoothed.reshape(len(smoothed), -1)).reshape(len(vectors), len(times), -1)
+
+    size = np.sqrt(np.maximum(diffused(squared), floor))
+    result = diffused(product)
+    for i in range(len(times)):  # one at a time, for the memory that dense meshes take
+        result[:, i] /= np.maximum(size[:, i, f] * size[:, i, g], np.finfo(float).tiny)
+    return result.reshape(len(result), -1)
 
 
 def _thirds(mesh: Mesh) -> sparse.csr_array:
@@ -104,16 +110,20 @@ def _thirds(mesh: Mesh) -> sparse.csr_array:
     return sparse.coo_array((third, (mesh.faces.ravel(), faces)), shape=shape).tocsr()
 
 
-def _wedge(mesh: Mesh, f: FloatArray, g: FloatArray) -> FloatArray:
-    """Integral of df ∧ dg over each face, (m, p)."""
-    a, b, c = mesh.faces.T
-    return ((f[b] - f[a]) * (g[c] - g[a]) - (f[c] - f[a]) * (g[b] - g[a])) / 2
+def _wedge(steps: Sequence[FloatArray], f: IntArray, g: IntArray) -> FloatArray:
+    """Integral of df ∧ dg over each face, (m, p), of fields with differences along its sides."""
+    result = steps[0][:, f] * steps[1][:, g]
+    result -= steps[1][:, f] * steps[0][:, g]
+    return result / 2
 
 
-def _inner(mesh: Mesh, weights: FloatArray, f: FloatArray, g: FloatArray) -> FloatArray:
-    """Integral of ⟨∇f, ∇g⟩ over each face, (m, p)."""
-    result = np.zeros((len(mesh.faces), f.shape[1]))
-    for corner in range(3):
-        i, j = mesh.faces[:, (corner + 1) % 3], mesh.faces[:, (corner + 2) % 3]
-        result += weights[:, corner, None] / 2 * (f[i] - f[j]) * (g[i] - g[j])
+def _inner(
+    weights: FloatArray, steps: Sequence[FloatArray], f: IntArray, g: IntArray
+) -> FloatArray:
+    """Integral of ⟨∇f, ∇g⟩ over each face, (m, p), by the cotangents opposite its sides."""
+    result = np.zeros((len(weights), len(f)))
+    for side, step in enumerate(steps):
+        scaled = (weights[:, side, None] / 2 * step)[:, f]
+        scaled *= step[:, g]
+        result += scaled
     return result
