@@ -137,9 +137,9 @@ PRESETS = {
         outputs=16,
         patches=AnisotropicPatches(),
         convolutions=(1, 2),
-        learning_rate=3e-3,
+        learning_rate=1e-3,
         schedule="cosine",
-        steps=3000,
+        steps=1500,
         look_every=100,
     ),
 }
