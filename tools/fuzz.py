@@ -34,7 +34,7 @@ def try_input(data: bytes) -> None:
     path.write_bytes(data[1:])
     try:
         arrays = read_arrays(path)
-        repaired = repair(arrays, everything=data[0] >= 128)
+        repaired = repair(arrays, everything=data[0] >= 128, restore=data[0] % 2 == 1)
     except InputError:
         return
     assert len(repaired.vertex_index) == len(arrays[0])
