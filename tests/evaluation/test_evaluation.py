@@ -11,7 +11,7 @@ from esd.evaluation.protocol import evaluate
 from esd.learning.model import Model, load_model
 from esd.matching.match import match_embedded
 from esd.mesh.geodesics import geodesic_diameter, geodesic_graph
-from esd.mesh.mesh import Mesh
+from esd.mesh.mesh import Mesh, surface_area
 
 
 def test_errors_are_distances_from_either_side(blob):
@@ -123,7 +123,6 @@ def test_correspondences_beyond_the_mesh_are_refused(model, shapes):
 
 
 def test_broken_meshes_are_evaluated_as_they_are_matched(blob):
-
     index = np.arange(len(blob.vertices))
     twice = Mesh(blob.vertices, np.concatenate([blob.faces, blob.faces[:5, [0, 2, 1]]]))
     whole, broken = (
@@ -133,6 +132,21 @@ def test_broken_meshes_are_evaluated_as_they_are_matched(blob):
     model = load_model("default")
     result, _ = evaluate(model, [(whole, broken)])
     assert result.mean_geodesic_error_x100 < 0.5
+
+
+def test_errors_are_measured_on_the_surface_as_it_was(blob):
+    far = np.linalg.norm(blob.vertices - blob.vertices[7], axis=1)
+    hole = Mesh(blob.vertices, blob.faces[(far[blob.faces] > 0.3).all(axis=1)])
+    index = np.where(np.isin(np.arange(len(far)), hole.faces), np.arange(len(far)), -1)
+    whole = Shape("a", "a", "t", lambda: blob, lambda: np.arange(len(far)))
+    pierced = Shape("b", "b", "t", lambda: hole, lambda: index)
+    result, pairs = evaluate(load_model("default"), [(whole, pierced), (pierced, whole)])
+    for pair, mesh in zip(pairs, (hole, blob), strict=True):
+        assert len(pair.errors) == (index >= 0).sum()
+        assert np.isfinite(pair.errors).all()
+        assert pair.square_root_area == pytest.approx(surface_area(mesh) ** 0.5)
+        assert pair.coverage <= 1
+    assert result.mean_geodesic_error_x100 < 3
 
 
 def test_two_shapes_of_one_name_are_refused(blob, model):
