@@ -18,7 +18,7 @@ from esd.evaluation.errors import area_under_curve, geodesic_errors
 from esd.learning.model import Model
 from esd.matching.described import describe
 from esd.matching.match import match_embedded
-from esd.mesh.doctor import repair
+from esd.mesh.doctor import RESTORED, repair
 from esd.mesh.geodesics import geodesic_diameter, geodesic_graph
 from esd.mesh.mesh import Mesh, surface_area
 from esd.spectral.cache import Cache
@@ -189,7 +189,7 @@ def _embedded(model: Model, shape: Shape, cache: Cache | None) -> _Embedded:
     except InputError as error:
         raise InputError(f"'{shape.name}': {error}") from error
     mesh, stands = repaired.shape, np.arange(len(repaired.original_index))
-    if repaired.done & {"holes", "folded_edges"}:
+    if repaired.done & RESTORED:
         mesh = repair(shape.mesh(), all_pieces=True).shape
         fill = slice(len(mesh.vertices), None)
         stands[fill] = repaired.vertex_index[repaired.original_index[fill]]

@@ -47,6 +47,9 @@ from esd.mesh.topology import (
     without_repeats,
 )
 
+RESTORED = frozenset({"holes", "folded_edges"})
+"""Findings about which something is done where a surface is restored, see `repair`."""
+
 _SLIVER = 0.02  # quality 4 √3 area / Σ side²; one for equal sides, here an angle of about a degree
 _FOLDED = 0.03  # share of the edges; up to half of that is ordinary in toes and ears
 _FAR = 1e5  # sizes of the shape away from the origin, beyond which single precision lost its form
@@ -189,7 +192,7 @@ def repair(
         raise InputError(f"Nothing of the mesh can be used: {diagnosis.in_a_line()}.")
     done = {f.kind for f in diagnosis.findings if f.always_repaired or everything}
     if restore:
-        done |= {"holes", "folded_edges"} & {f.kind for f in diagnosis.findings}
+        done |= RESTORED & {f.kind for f in diagnosis.findings}
     if all_pieces:
         done.discard("loose_pieces")
     original = np.arange(len(vertices), dtype=np.int64)
