@@ -9,7 +9,15 @@ import numpy as np
 from scipy import sparse
 
 from esd.common import BoolArray, FloatArray, IntArray
-from esd.mesh.mesh import Mesh, edges, face_areas, is_referenced, surface_area, vertex_normals
+from esd.mesh.mesh import (
+    Mesh,
+    adjacency,
+    edges,
+    face_areas,
+    is_referenced,
+    surface_area,
+    vertex_normals,
+)
 
 Verdict: TypeAlias = Literal["good", "doubtful", "failed", "mirrored"]
 
@@ -74,7 +82,8 @@ def evidence(
     there = target.vertices / np.sqrt(surface_area(target))
     again = np.where(matched, source_index[target_index], -1)
     astray = np.where(again >= 0, np.linalg.norm(here - here[again], axis=1), np.nan)
-    i, j = edges(source).T
+    pairs = edges(source)
+    i, j = pairs.T
     jump = np.linalg.norm(there[target_index[i]] - there[target_index[j]], axis=1)
     jump[~(matched[i] & matched[j])] = 0.0
     longest = np.zeros(len(here))
@@ -82,7 +91,7 @@ def evidence(
         np.maximum.at(longest, end, jump)
     values = np.stack([astray, longest], axis=1)
     values[~np.isfinite(astray)] = np.nan
-    return _around(len(here), i, j, values)
+    return _around(adjacency(pairs, len(here)), values)
 
 
 def confidence(
@@ -145,12 +154,10 @@ def judgement(
     return Judgement(verdict, accuracy, side)
 
 
-def _around(count: int, i: IntArray, j: IntArray, values: FloatArray) -> FloatArray:
+def _around(neighbours: sparse.csr_array, values: FloatArray) -> FloatArray:
     """Means of values (n, c) over the vertices up to two edges around, NaN left out."""
-    ones = np.ones(len(i))
-    adjacency = sparse.coo_array((ones, (i, j)), shape=(count, count)).tocsr()
-    adjacency = adjacency + adjacency.T + sparse.eye_array(count, format="csr")
+    near = neighbours + sparse.eye_array(len(values), format="csr")
     known = np.isfinite(values)
-    total = adjacency @ (adjacency @ np.where(known, values, 0.0))
-    weight = adjacency @ (adjacency @ known.astype(float))
+    total = near @ (near @ np.where(known, values, 0.0))
+    weight = near @ (near @ known.astype(float))
     return np.where(known, total / np.maximum(weight, 1.0), np.nan)

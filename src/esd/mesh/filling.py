@@ -7,7 +7,7 @@ from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
 from esd.common import FloatArray, IntArray
-from esd.mesh.mesh import Mesh, edges, surface_area
+from esd.mesh.mesh import Mesh, adjacency, edges, surface_area
 from esd.mesh.topology import rims, sides_of
 
 _RINGS = 20  # of a patch at the most; the largest patches of very dense meshes are coarser
@@ -103,12 +103,10 @@ def _at_rest(mesh: Mesh, first: int) -> Mesh:
         near = mesh.faces[around[mesh.faces].any(axis=1)]
         around[near] = True
     place = np.cumsum(around) - 1
-    i, j = edges(Mesh(mesh.vertices[around], place[near])).T
     size = int(around.sum())
-    adjacency = sparse.coo_array((np.ones(len(i)), (i, j)), shape=(size, size)).tocsr()
-    adjacency = adjacency + adjacency.T
-    degree = adjacency.sum(axis=1)
-    laplacian = sparse.diags_array(degree) - adjacency
+    neighbours = adjacency(edges(Mesh(mesh.vertices[around], place[near])), size)
+    degree = neighbours.sum(axis=1)
+    laplacian = sparse.diags_array(degree) - neighbours
     rows = (laplacian @ sparse.diags_array(1 / degree) @ laplacian).tocsr()[place[first] :]
     free = size - (len(mesh.vertices) - first)
     vertices = mesh.vertices.copy()

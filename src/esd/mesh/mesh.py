@@ -259,6 +259,12 @@ def edges(mesh: Mesh) -> IntArray:
     return np.unique(sides, axis=0)
 
 
+def adjacency(pairs: IntArray, size: int) -> sparse.csr_array:
+    """The matrix (size, size) of ones between the ends of undirected edges (e, 2), each once."""
+    half = sparse.coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(size, size)).tocsr()
+    return half + half.T
+
+
 def is_referenced(mesh: Mesh) -> npt.NDArray[np.bool_]:
     """Whether each vertex belongs to a face, (n,)."""
     referenced = np.zeros(len(mesh.vertices), dtype=bool)

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy import sparse
 
-from esd.mesh.mesh import Mesh, edges
+from esd.mesh.mesh import Mesh, adjacency, edges
 
 _ROUNDS = 10
 _FORTH, _BACK = 0.5, 0.53  # the second a little larger, so that the shape does not shrink
@@ -19,14 +18,11 @@ def smoothed(mesh: Mesh) -> Mesh:
     Taubin 1995, *A signal processing approach to fair surface design*: λ of 0.5, μ of −0.53, ten
     rounds, the mean of a vertex's neighbours for the Laplacian.
     """
-    i, j = edges(mesh).T
-    size = len(mesh.vertices)
-    adjacency = sparse.coo_array((np.ones(len(i)), (i, j)), shape=(size, size)).tocsr()
-    adjacency = adjacency + adjacency.T
-    degree = adjacency.sum(axis=1)[:, None]
+    neighbours = adjacency(edges(mesh), len(mesh.vertices))
+    degree = neighbours.sum(axis=1)[:, None]
     vertices = mesh.vertices
     for _ in range(_ROUNDS):
         for step in (_FORTH, -_BACK):
-            gap = adjacency @ vertices - degree * vertices
+            gap = neighbours @ vertices - degree * vertices
             vertices = vertices + step * gap / np.maximum(degree, 1)
     return replace(mesh, vertices=vertices)
