@@ -157,10 +157,11 @@ def mended(shape: Shape) -> tuple[Repaired, IntArray, IntArray | None]:
     InputError
         If a correspondence names a vertex that the mesh lacks, or nothing of it can be used.
     """
-    mesh, index = shape.mesh(), shape.correspondence()
-    symmetric = None if shape.symmetric is None else shape.symmetric()
-    for truth in (index, symmetric):
-        if truth is not None and truth.max() >= len(mesh.vertices):
+    mesh, truths = shape.mesh(), [shape.correspondence()]
+    if shape.symmetric is not None:
+        truths.append(shape.symmetric())
+    for truth in truths:
+        if truth.max() >= len(mesh.vertices):
             raise InputError(
                 f"The correspondence of '{shape.name}' names vertex {truth.max()} (from 0); "
                 f"its mesh has {len(mesh.vertices)} vertices."
@@ -169,12 +170,8 @@ def mended(shape: Shape) -> tuple[Repaired, IntArray, IntArray | None]:
         repaired = repair(mesh, all_pieces=True, restore=True)
     except InputError as error:
         raise InputError(f"'{shape.name}': {error}") from error
-    after, symmetric_after = (
-        None if truth is None else np.where(truth >= 0, repaired.vertex_index[truth], -1)
-        for truth in (index, symmetric)
-    )
-    assert after is not None
-    return repaired, after, symmetric_after
+    index, *symmetric = (np.where(truth >= 0, repaired.vertex_index[truth], -1) for truth in truths)
+    return repaired, index, symmetric[0] if symmetric else None
 
 
 def read_pairs(

@@ -157,15 +157,14 @@ def _described(models: Mapping[str, Model], mesh: Mesh, kept: Cache | None) -> d
     # all of `MODELS` take the same spectrum
     recipe = next(iter(models.values())).recipe
     plain, restored = repair(mesh), repair(mesh, restore=True)
-    paired = (plain, recipe_spectrum(recipe, plain.shape, cache=kept))
-    other = paired
+    as_it_is = as_matched = (plain, recipe_spectrum(recipe, plain.shape, cache=kept))
     if restored.done != plain.done:
-        other = (restored, recipe_spectrum(recipe, restored.shape, cache=kept))
-    return {
-        name: describe(shape, model=model, pairs=pairs)
-        for name, model in models.items()
-        for shape, pairs in [paired if name in _AS_THEY_ARE else other]
-    }
+        as_matched = (restored, recipe_spectrum(recipe, restored.shape, cache=kept))
+    described = {}
+    for name, model in models.items():
+        shape, pairs = as_it_is if name in _AS_THEY_ARE else as_matched
+        described[name] = describe(shape, model=model, pairs=pairs)
+    return described
 
 
 def _matches(
