@@ -196,6 +196,10 @@ def repair(
     if all_pieces:
         done.discard("loose_pieces")
     original = np.arange(len(vertices), dtype=np.int64)
+    if done <= {"unreferenced_vertices"}:  # the very same, and so known to the caches
+        mesh = Mesh(vertices, faces)
+        index = np.where(is_referenced(mesh), original, -1)
+        return Repaired(mesh, index, original, diagnosis, frozenset(done))
     index = np.where(finite, original, -1)
     if "duplicate_vertices" in done:
         first = seam_partners(mesh)
@@ -213,8 +217,6 @@ def repair(
     if "folded_edges" in done:
         mesh = smoothed(mesh)
     index = np.where(is_referenced(mesh)[index], index, -1)
-    if done <= {"unreferenced_vertices"}:
-        mesh = Mesh(vertices, faces)  # the very same, and so known to the caches
     return Repaired(mesh, index, original, diagnosis, frozenset(done), len(on_rim))
 
 

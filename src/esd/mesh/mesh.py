@@ -255,8 +255,11 @@ def edge_lengths(mesh: Mesh) -> FloatArray:
 
 def edges(mesh: Mesh) -> IntArray:
     """Undirected edges, (e, 2), each once with the smaller index first, sorted."""
-    sides = np.sort(mesh.faces[:, [[1, 2], [2, 0], [0, 1]]].reshape(-1, 2), axis=1)
-    return np.unique(sides, axis=0)
+    start, end = mesh.faces[:, [1, 2, 0]].ravel(), mesh.faces[:, [2, 0, 1]].ravel()
+    # one number an edge: np.unique of pairs, or without sorting, takes ten times as long
+    key = np.sort(np.minimum(start, end) * len(mesh.vertices) + np.maximum(start, end))
+    first = np.append(True, key[1:] != key[:-1])[: len(key)]
+    return np.stack(np.divmod(key[first], len(mesh.vertices)), axis=1)
 
 
 def adjacency(pairs: IntArray, size: int) -> sparse.csr_array:

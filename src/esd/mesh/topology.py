@@ -90,9 +90,11 @@ def is_collapsed(faces: IntArray) -> BoolArray:
 
 def is_repeated(faces: IntArray) -> BoolArray:
     """Whether an earlier face has the same three vertices, in any order, (m,)."""
-    _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
-    repeated = np.ones(len(faces), dtype=bool)
-    repeated[first] = False
+    corners = np.sort(faces, axis=1)
+    order = np.lexsort(corners.T)  # keeps the order of equal faces
+    corners = corners[order]
+    repeated = np.zeros(len(faces), dtype=bool)
+    repeated[order[1:]] = (corners[1:] == corners[:-1]).all(axis=1)
     return repeated
 
 
