@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from esd.common import InputError
-from esd.mesh.files import read_mesh, write_mesh
+from esd.mesh.files import read_arrays, read_mesh, write_mesh
 from esd.mesh.mesh import Mesh, surface_area
 from esd.mesh.shapes import torus
 
@@ -41,6 +41,24 @@ usemtl other
 f -5/2 -3/1 -4/1
 """
 OFF = "OFF\n# with a comment\n5 2 0\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n0 1 2\n4 0 1 2 3\n3 0 1 4\n"
+
+
+@pytest.mark.parametrize(
+    ("head", "faces"),
+    [
+        ("OFF\n4 2 0\n", ["3 0 1 2", "3 0 2 3"]),
+        ("OFF\n4 2 0\n", ["3 0 1 2 255 0 0", "3 0 2 3 0 255 0"]),  # with colours
+        ("OFF\n# a square\n4 2 0\n", ["3 0 1 2 # first", "3 0 2 3"]),
+        ("OFF 4 2 0\n", ["3 0 1 2", "3 0 2 3"]),
+    ],
+)
+def test_all_that_off_may_hold_is_read_alike(tmp_path, head, faces):
+    square = "0 0 0\n1 0 0\n1 1 0\n0 1 1e-1\n"
+    path = tmp_path / "square.off"
+    path.write_text(head + square + "\n".join(faces) + "\n")
+    vertices, triangles = read_arrays(path)
+    np.testing.assert_array_equal(vertices, [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.1]])
+    np.testing.assert_array_equal(triangles, [[0, 1, 2], [0, 2, 3]])
 
 
 @pytest.mark.parametrize(("name", "text"), [("m.obj", OBJ), ("m.off", OFF)])

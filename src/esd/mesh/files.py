@@ -7,6 +7,7 @@ import json
 import logging
 import os
 import struct
+import warnings
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -80,7 +81,7 @@ def read_arrays(path: str | os.PathLike[str]) -> tuple[npt.NDArray[Any], npt.NDA
         raise InputError(f"There is no file '{path}'.")
     if path.stat().st_size > _LARGEST_FILE:
         raise InputError(f"'{path}' is larger than 4 GiB; simplify the mesh first.")
-    read = {".obj": _read_obj, ".xyz": _read_xyz}.get(suffix, _read_by_trimesh)
+    read = {".off": _read_off, ".obj": _read_obj, ".xyz": _read_xyz}.get(suffix, _read_by_trimesh)
     try:
         return read(path)
     except OSError as error:
@@ -160,6 +161,31 @@ def _read_by_trimesh(path: Path) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
             raise InputError(f"it announces {face_count} faces, {len(faces)} were read.")
         _tell_triangulation(path, face_count, len(faces))
     return vertices, faces
+
+
+def _read_off(path: Path) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+    """Triangles, a line each, by numpy: in a sixth of the time, and trimesh takes 0.3 s to import.
+
+    Whatever else OFF may hold, faults included, is left to trimesh.
+    """
+    try:
+        with path.open(encoding="utf-8") as file, warnings.catch_warnings():
+            warnings.simplefilter("error")
+            magic, counts = file.readline(), file.readline()
+            vertex_count, face_count = (int(word) for word in counts.split()[:2])
+            if magic.strip() != "OFF" or min(vertex_count, face_count) < 1:
+                raise ValueError
+            if max(vertex_count, face_count) > path.stat().st_size:  # memory for so many is taken
+                raise ValueError
+            vertices = np.loadtxt(file, max_rows=vertex_count, usecols=(0, 1, 2), ndmin=2)
+            faces = np.loadtxt(
+                file, max_rows=face_count, usecols=(0, 1, 2, 3), ndmin=2, dtype=np.int64
+            )
+    except (ValueError, Warning):
+        return _read_by_trimesh(path)
+    if len(vertices) < vertex_count or len(faces) < face_count or (faces[:, 0] != 3).any():
+        return _read_by_trimesh(path)
+    return vertices, faces[:, 1:]
 
 
 def _scene_document(path: Path) -> dict[str, Any]:
