@@ -2,13 +2,15 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
 import pytest
+from threadpoolctl import threadpool_limits
 
 from esd.common import InputError
-from esd.parallel import outcomes
+from esd.parallel import outcomes, side_by_side, thread_count
 
 HERE = str(Path(__file__).parent)
 
@@ -87,3 +89,16 @@ def test_impossible_settings_are_refused():
     pytest.importorskip("distributed", reason="a cluster needs the extra `cluster`")
     with pytest.raises(InputError, match="No Dask scheduler answers at 'nonsense'"):
         list(outcomes(square, [1], scheduler="nonsense"))
+
+
+def test_side_by_side_no_job_takes_more_than_one_thread():
+    before = thread_count()
+    assert side_by_side(lambda job: (job, thread_count()), "ab") == [("a", 1), ("b", 1)]
+    assert thread_count() == before
+    with pytest.raises(InputError, match="not three"):
+        side_by_side(square, [3, 2])
+
+
+def test_where_one_thread_is_allowed_jobs_stay_in_it():
+    with threadpool_limits(1):
+        assert set(side_by_side(lambda _: threading.get_ident(), "ab")) == {threading.get_ident()}

@@ -6,6 +6,7 @@ import logging
 import os
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from esd.matching.nearest import nearest
 from esd.matching.refine import SIZES, joint_rows, mean_squared_distance, zoomout
 from esd.mesh.doctor import Repaired, repair
 from esd.mesh.mesh import Mesh, MeshLike, PointCloud, is_referenced
+from esd.parallel import side_by_side
 from esd.spectral.cache import Cache, default_cache
 from esd.spectral.spectrum import Spectrum
 
@@ -82,7 +84,10 @@ def match(
                 name,
                 count,
             )
-    described = [describe(each, model=model, coarse=coarse, cache=cache) for each in shapes]
+    work = partial(describe, model=model, coarse=coarse, cache=cache)
+    is_dense = max(len(each.shape.vertices) for each in shapes) > DENSE
+    # not both at a time where memory is scarce
+    described = [work(each) for each in shapes] if is_dense else side_by_side(work, shapes)
     found = match_described(
         described[0], described[1], model=model, refine=refine, one_to_one=one_to_one
     )

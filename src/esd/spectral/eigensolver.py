@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import logging
 import operator
-import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import contextmanager
@@ -26,6 +25,7 @@ from scipy.sparse.linalg import eigsh
 from threadpoolctl import ThreadpoolController
 
 from esd.common import FloatArray, InputError
+from esd.parallel import thread_count
 from esd.spectral.bounds import error_bound
 from esd.spectral.factorisation import Factorisation, UnstableError, factorise
 from esd.spectral.lanczos import BlockLanczos, Ritz, Run
@@ -343,13 +343,7 @@ def _eigsh(stiffness: SparseMatrix, mass: Mass, k: int, seed: int) -> Eigenpairs
 def _working_threads(threads: int | None) -> Iterator[Run]:
     """`map` over this many threads, while each call of the BLAS library stays within its own."""
     libraries = ThreadpoolController().select(user_api="blas")
-    if threads is None:
-        cores = (
-            len(os.sched_getaffinity(0))
-            if hasattr(os, "sched_getaffinity")
-            else os.cpu_count() or 1
-        )
-        threads = min([cores] + [library["num_threads"] for library in libraries.info()])
+    threads = thread_count() if threads is None else threads
     with libraries.limit(limits=1):
         if threads == 1:
             yield map
