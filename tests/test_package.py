@@ -4,6 +4,8 @@ import sys
 import pytest
 
 import esd
+from esd.mesh.files import write_mesh
+from esd.mesh.shapes import icosphere
 
 
 def test_public_names_are_there():
@@ -17,3 +19,19 @@ def test_importing_it_loads_no_other_package():
     code = "import sys, esd; sys.exit(', '.join({'numpy', 'scipy', 'torch'} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert not done.stderr.strip()
+
+
+def test_a_map_of_plain_files_loads_only_what_it_needs(tmp_path):
+    for name in ("a.off", "b.off"):
+        write_mesh(icosphere(3), tmp_path / name)
+    code = (
+        "import sys; from esd.cli import main\n"
+        "try: main()\n"
+        "except SystemExit as end: assert not end.code\n"
+        "slow = {'trimesh', 'scipy.spatial', 'scipy.optimize', 'torch', 'h5py', 'matplotlib'}\n"
+        "assert not slow & set(sys.modules), slow & set(sys.modules)"
+    )
+    files = [str(tmp_path / name) for name in ("a.off", "b.off", "map.csv")]
+    command = [sys.executable, "-c", code, "match", *files[:2], "-o", files[2]]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr

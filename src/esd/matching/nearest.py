@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from esd.common import FloatArray, InputError, IntArray
 
@@ -39,6 +38,8 @@ def nearest(source: FloatArray, target: FloatArray) -> tuple[IntArray, FloatArra
 
 
 def _by_tree(source: FloatArray, target: FloatArray) -> tuple[IntArray, FloatArray]:
+    from scipy.spatial import KDTree  # slow to import, and only needed for short rows
+
     distance, index = KDTree(target).query(source, workers=-1)
     return np.asarray(index, dtype=np.int64), distance
 
