@@ -9,9 +9,9 @@ from esd.learning.losses import pair_criteria
 from esd.learning.pairs import PointTable, draw_pairs
 from esd.learning.presets import Training
 
-pytest.importorskip("torch", reason="training needs the extra `train`")
-from esd.learning import train as alone
-from esd.learning.architecture import judge_many, train_many
+torch = pytest.importorskip("torch", reason="training needs the extra `train`")
+from esd.learning import train as alone  # noqa: E402
+from esd.learning.architecture import judge_many, train_many  # noqa: E402
 
 TRAINING = Training(Recipe((Descriptor("hks", 12),)), hidden=(), outputs=4, batch=32, steps=25)
 HIDDEN = [(9, 5), (7, 7), (12, 2)]
@@ -35,7 +35,7 @@ def test_networks_trained_at_once_are_those_trained_alone(table, hidden):
     together = train_many(table, short, hidden, seed=3)
     for i, widths in enumerate(hidden):
         training = replace(short, hidden=widths)
-        run = alone._start(training, 3, alone.torch_device("cpu"))
+        run = alone._start(training, 3, torch.device("cpu"))
         alone._advance(run, table, training, 3)
         layers = alone._layers(alone._weights(run.network))
         for (weight, bias), layer in zip(together, layers, strict=True):

@@ -9,13 +9,14 @@ from esd.datasets.collection import Collection
 from esd.datasets.open import open_collection
 from esd.datasets.precompute import precompute
 from esd.descriptors.recipe import Descriptor, Recipe, single_recipe
+from esd.learning.device import usable_device
 from esd.learning.losses import contrastive_loss, infonce_loss, pair_criteria
 from esd.learning.model import Layer, Model, load_model, raw_model, save_model
 from esd.learning.pairs import draw_matches, draw_pairs, point_table, standardisation, stored_table
 from esd.learning.presets import PRESETS, Training, preset
 
 torch = pytest.importorskip("torch", reason="training needs the extra `train`")
-from esd.learning.train import embedded_criteria, learning_rate, torch_device, train  # noqa: E402
+from esd.learning.train import embedded_criteria, learning_rate, train  # noqa: E402
 
 TRAINING = Training(
     Recipe((Descriptor("hks", 12),), eigenpairs=20), hidden=(10,), outputs=4, steps=1500, batch=64
@@ -208,7 +209,7 @@ def test_training_takes_a_gpu_where_there_is_one(collection, monkeypatch):
     with pytest.raises(InputError, match="There is no device 'tpu'"):
         train(collection, short, device="tpu")
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
-    assert [torch_device(name).type for name in ("auto", "cuda", "cpu")] == ["cuda", "cuda", "cpu"]
+    assert [usable_device(name) for name in ("auto", "cuda", "cpu")] == ["cuda", "cuda", "cpu"]
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no GPU")

@@ -1,8 +1,10 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from esd.common import InputError
-from esd.learning.model import raw_model
+from esd.learning.model import load_model, raw_model
 from esd.matching.correspondence import Correspondence, load_map, save_map
 from esd.matching.match import match, match_embedded
 from esd.matching.nearest import nearest
@@ -148,3 +150,28 @@ def test_a_correspondence_shows_itself():
     unknown = np.full(3, np.nan)
     assert "confidence" not in Correspondence(match.target_index, unknown, unknown)._repr_html_()
     assert set(match.attributes()) == {"target", "distance", "confidence"}
+
+
+@pytest.mark.parametrize("device", ["cpu:0", "cuda"])  # torch on the processor, and on a GPU
+def test_torch_finds_the_map_that_numpy_finds(blob, device):
+    torch = pytest.importorskip("torch", reason="other devices need the extra `train`")
+    if device == "cuda" and not torch.cuda.is_available():
+        pytest.skip("there is no GPU")
+    here = load_model("default")
+    there = replace(here, device=device)
+    values = np.random.default_rng(0).normal(size=(50, here.recipe.width))
+    np.testing.assert_allclose(there.embed(values), here.embed(values), rtol=1e-9, atol=1e-9)
+    other = Mesh(blob.vertices * [1, 1.1, 1], blob.faces)
+    a, b = (match(blob, other, model=model) for model in (here, there))
+    np.testing.assert_array_equal(a.target_index, b.target_index)
+    np.testing.assert_allclose(a.distance, b.distance, rtol=1e-5, atol=1e-6)
+
+
+def test_unusable_devices_are_refused(monkeypatch):
+    with pytest.raises(InputError, match="There is no device 'tpu'"):
+        load_model("default", device="tpu")
+    torch = pytest.importorskip("torch", reason="other devices need the extra `train`")
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    assert load_model("hks", device="auto").device == "cpu"
+    with pytest.raises(InputError, match="torch finds no GPU here"):
+        load_model("hks", device="cuda")

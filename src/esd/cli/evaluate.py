@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from esd.cli.match import RefineOption, RejectOption
+from esd.cli.match import DeviceOption, RefineOption, RejectOption
 from esd.cli.output import ForceOption, free_path, tell
 from esd.cli.train import DatasetArgument
 
@@ -38,6 +38,7 @@ def evaluate(
     ] = None,
     refine: RefineOption = None,
     reject: RejectOption = False,
+    device: DeviceOption = "cpu",
     plot: Annotated[
         Path | None,
         typer.Option(
@@ -72,7 +73,7 @@ def evaluate(
         from esd.viewing.figures import check_figure_path, errors_figure, save_figure
 
         free_path(check_figure_path(plot), force=force)
-    models = [load_model(name) for name in dict.fromkeys(model)]
+    models = [load_model(name, device=device) for name in dict.fromkeys(model)]
     collection = open_collection(dataset)
     if pairs:
         chosen = read_pairs(pairs, collection)

@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from esd.cli.output import ForceOption, free_path, tell
 from esd.cli.progress import progress
+
+if TYPE_CHECKING:
+    from esd.learning.model import Model
 
 WorkersOption = Annotated[
     int | None,
@@ -32,6 +35,12 @@ RefineOption = Annotated[
 ]
 RejectOption = Annotated[
     bool, typer.Option("--reject", help="Drop matches beyond the model's threshold, C / 2.")
+]
+DeviceOption = Annotated[
+    str,
+    typer.Option(
+        metavar="[cpu|cuda|auto]", help="Where embeddings, and the nearest of them, are computed."
+    ),
 ]
 
 
@@ -86,6 +95,7 @@ def match(
         ),
     ] = None,
     workers: WorkersOption = None,
+    device: DeviceOption = "cpu",
     as_json: Annotated[bool, typer.Option("--json", help="Print a summary as JSON.")] = False,
     force: ForceOption = False,
 ) -> None:
@@ -107,7 +117,8 @@ def match(
         options: dict[str, Any] = {"refine": refine, "reject": reject}
         options |= {"one_to_one": one_to_one, "everything": repair, "coarse": coarse}
         options["workers"] = workers
-        _match_batch(batch, output, model, as_json=as_json, force=force, **options)
+        loaded = load_model(model, device=device)
+        _match_batch(batch, output, loaded, as_json=as_json, force=force, **options)
         return
     if source is None or target is None:
         raise typer.BadParameter("SOURCE and TARGET are needed, or --batch PAIRS.")
@@ -119,7 +130,7 @@ def match(
     if view:
         free_path(page, force=force)
         drawn = usable_part(source), usable_part(target)
-    loaded = load_model(model)
+    loaded = load_model(model, device=device)
     shapes = [repaired(path, everything=repair, restore=True) for path in (source, target)]
     result = match_meshes(
         *shapes, model=loaded, refine=refine, one_to_one=one_to_one, coarse=coarse
@@ -162,23 +173,21 @@ def match(
 
 
 def _match_batch(
-    batch: Path, folder: Path | None, model: str, *, as_json: bool, force: bool, **options: Any
+    batch: Path, folder: Path | None, model: Model, *, as_json: bool, force: bool, **options: Any
 ) -> None:
     import time
 
     from esd.common import InputError
-    from esd.learning.model import load_model
     from esd.matching.batch import match_files, read_pairs_of_files
 
     start = time.perf_counter()
     pairs = read_pairs_of_files(batch, folder=folder or Path())
     for pair in pairs:
         free_path(pair.output, force=force)
-    loaded = load_model(model)
     steps = len(pairs) + len({file for pair in pairs for file in (pair.source, pair.target)})
     maps, failed = [], 0
     with progress("matching", steps) as went:
-        for done in match_files(pairs, model=loaded, on_step=lambda: went(1), **options):
+        for done in match_files(pairs, model=model, on_step=lambda: went(1), **options):
             names = {key: str(getattr(done.pair, key)) for key in ("source", "target", "output")}
             maps.append({**names, **{k: v for k, v in asdict(done).items() if k != "pair"}})
             failed += done.failure is not None
@@ -186,7 +195,7 @@ def _match_batch(
                 typer.echo(f"{done.pair.output}\t{done.failure}")
     if as_json:
         seconds = time.perf_counter() - start
-        typer.echo(json.dumps({"model": loaded.name, "maps": maps, "seconds": seconds}))
+        typer.echo(json.dumps({"model": model.name, "maps": maps, "seconds": seconds}))
     else:
         tell(f"{len(pairs) - failed} of {len(pairs)} pairs matched")
     if failed:

@@ -161,7 +161,13 @@ def evaluate(
     for source, target in pairs:
         sources.setdefault(target.name, []).append(embedded[source.name])
     jobs = [(embedded[name], group) for name, group in sources.items()]
-    work = partial(_errors_on_target, margin=model.margin, refine=refine, threshold=threshold)
+    work = partial(
+        _errors_on_target,
+        margin=model.margin,
+        refine=refine,
+        threshold=threshold,
+        device=model.device,
+    )
     found: list[PairErrors] = []
     with _mapping(min(processes, len(jobs))) as mapping:
         for results in mapping(work, jobs):
@@ -200,7 +206,12 @@ def _embedded(model: Model, shape: Shape, cache: Cache | None) -> _Embedded:
 
 
 def _errors_on_target(
-    job: tuple[_Embedded, list[_Embedded]], *, margin: float | None, refine: bool, threshold: float
+    job: tuple[_Embedded, list[_Embedded]],
+    *,
+    margin: float | None,
+    refine: bool,
+    threshold: float,
+    device: str,
 ) -> list[PairErrors]:
     """Errors of the maps from several sources to one target."""
     target, sources = job
@@ -209,7 +220,9 @@ def _errors_on_target(
     maps = []
     for source in sources:
         spectra = (source.pairs, target.pairs) if refine else None
-        match = match_embedded(source.values, target.values, margin=margin, spectra=spectra)
+        match = match_embedded(
+            source.values, target.values, margin=margin, spectra=spectra, device=device
+        )
         matched = match.rejecting(threshold).target_index
         maps.append(np.where(matched >= 0, target.stands[matched], -1)[: len(source.mesh.vertices)])
     # all maps at once, so that each target vertex is the source of distances only once

@@ -26,6 +26,7 @@ from esd.descriptors.recipe import (
     single_recipe,
     spectrum_descriptors,
 )
+from esd.learning.device import usable_device
 from esd.mesh.mesh import Mesh, PointCloud
 from esd.spectral.cache import Cache
 from esd.spectral.laplacian import SparseMatrix
@@ -79,6 +80,9 @@ class Model:
         Of the surface, over which convolutions go; None where no layer is one.
     card
         What it was trained on, how, and how it did: plain data.
+    device
+        Where embeddings, and the nearest of them, are computed: `cpu` by numpy, any other by torch,
+        equal to rounding. It is no part of the model's files.
     """
 
     name: str
@@ -91,6 +95,7 @@ class Model:
     unit_length: bool = False
     patches: Patches | None = None
     card: Mapping[str, Any] = field(default_factory=dict)
+    device: str = "cpu"
 
     @property
     def is_oriented(self) -> bool:
@@ -134,6 +139,10 @@ class Model:
                 f"'{self.name}' is convolutional: it embeds whole shapes, see `embed_mesh`."
             )
         result = standardised(values, self.mean, self.deviation, limit=self.limit)
+        if self.device != "cpu" and self.patches is None:
+            from esd.learning.network import embedded
+
+            return embedded(result, self)
         for i, layer in enumerate(self.layers):
             result = np.maximum(result, 0) if i else result
             if layer.weight.ndim == 2:
@@ -187,20 +196,26 @@ def bundled_models() -> tuple[str, ...]:
     return tuple(sorted(path.parent.name for path in _BUNDLED.glob("*/config.json")))
 
 
-def load_model(model: str | os.PathLike[str]) -> Model:
+def load_model(model: str | os.PathLike[str], *, device: str = "cpu") -> Model:
     """The model in a folder, a bundled one by its name, or a raw descriptor by its name.
 
     Nothing in the folder is executed or unpickled.
 
+    Parameters
+    ----------
+    device
+        Where it computes: `cpu`, `cuda`, or `auto` for a GPU where there is one.
+
     Raises
     ------
     InputError
-        If there is no such model, or its files are damaged or do not fit each other.
+        If there is no such model or device, or its files are damaged or do not fit each other.
     """
+    device = usable_device(device)
     folder = Path(model)
     if not folder.exists():
         if str(model) in DESCRIPTOR_KINDS:
-            return raw_model(str(model))
+            return replace(raw_model(str(model)), device=device)
         name = _ALIASES.get(str(model), str(model))
         folder = _BUNDLED / name if Path(name).name == name else folder
     if not (folder / "config.json").is_file():
@@ -224,6 +239,7 @@ def load_model(model: str | os.PathLike[str]) -> Model:
             unit_length=config.get("unit_length", False),
             patches=patches_from_json(config["patches"]) if config.get("patches") else None,
             card=config["card"],
+            device=device,
         )
     except (KeyError, TypeError) as error:
         raise InputError(f"The model '{folder}' lacks {error}.") from error

@@ -12,7 +12,8 @@ from torch import nn
 
 from esd.baselines.gcnn import GeodesicPatches
 from esd.baselines.patches import Patches
-from esd.common import IntArray
+from esd.common import FloatArray, IntArray
+from esd.learning.model import Model
 from esd.spectral.laplacian import SparseMatrix
 
 
@@ -91,6 +92,17 @@ def embedding_network(
         else:
             layers.append(nn.Linear(inputs, outputs))
     return nn.Sequential(*layers)
+
+
+def embedded(values: FloatArray, model: Model) -> FloatArray:
+    """Embedding (n, outputs) of standardised descriptors (n, width), on the model's device."""
+    rows = torch.from_numpy(values).to(model.device)
+    for i, layer in enumerate(model.layers):
+        weight, bias = (torch.from_numpy(array).to(rows) for array in (layer.weight, layer.bias))
+        rows = nn.functional.linear(rows.relu() if i else rows, weight, bias)
+    if model.unit_length:
+        rows /= rows.norm(dim=1, keepdim=True)
+    return np.asarray(rows.cpu().numpy())
 
 
 def linear_layers(network: nn.Sequential) -> list[nn.Linear]:

@@ -22,6 +22,7 @@ from safetensors.torch import save
 from esd.common import FloatArray, InputError, IntArray, whole_file
 from esd.datasets.collection import Collection
 from esd.datasets.remeshing import with_remeshings
+from esd.learning.device import usable_device
 from esd.learning.losses import PairCriteria, contrastive_loss, infonce_loss, pair_criteria
 from esd.learning.model import Layer, Model
 from esd.learning.network import convolved, seeded_network
@@ -118,7 +119,7 @@ def train(
     checkpoint
         A file from which an interrupted training goes on, and which is removed at its end.
     device
-        Where the network is trained, see `torch_device`. What is drawn at random is the same on
+        Where the network is trained, see `usable_device`. What is drawn at random is the same on
         all, so that they differ by rounding alone.
     cache
         Where spectra are looked up and kept.
@@ -135,7 +136,7 @@ def train(
         raise InputError(
             "Convolutions need whole shapes: train on meshes, not on a store, and on all points."
         )
-    place = torch_device(device)
+    place = torch.device(usable_device(device))
     if not 0 <= seed <= _LARGEST_SEED:
         raise InputError(f"`seed` must be from 0 to {_LARGEST_SEED}; got {seed}.")
     describe = partial(
@@ -244,25 +245,6 @@ def _draw(table: PointTable, training: Training, seed: int, step: int) -> PairBa
     if training.loss == "infonce":
         return draw_matches(table, generator, count=training.batch)
     return draw_pairs(table, generator, count=training.batch, soft_label=training.soft_label)
-
-
-def torch_device(name: str) -> torch.device:
-    """The device of a name: `cpu`, `cuda` for a GPU, or `auto` for a GPU where there is one.
-
-    Raises
-    ------
-    InputError
-        If there is no GPU that torch can use, or the name is another.
-    """
-    if name not in ("cpu", "cuda", "auto"):
-        raise InputError(f"There is no device '{name}'; expected cpu, cuda or auto.")
-    available = torch.cuda.is_available()
-    if name == "cuda" and not available:
-        raise InputError(
-            "torch finds no GPU here: install a build of torch for CUDA and a driver, or take "
-            "--device cpu."
-        )
-    return torch.device("cuda" if available and name != "cpu" else "cpu")
 
 
 def _start(training: Training, seed: int, device: torch.device) -> _Run:

@@ -119,12 +119,14 @@ def match_described(
         margin=model.margin,
         spectra=spectra if refine else None,
         one_to_one=one_to_one,
+        device=model.device,
     )
     back = match_embedded(
         *embedded[::-1],
         margin=model.margin,
         spectra=spectra[::-1] if refine else None,
         sizes=_BACK_SIZES,
+        device=model.device,
     )
     found = _judged(found, back, source, target)
     if source.copy is not None and target.copy is not None:
@@ -189,6 +191,7 @@ def match_embedded(
     spectra: tuple[Spectrum, Spectrum] | None = None,
     sizes: Sequence[int] = SIZES,
     one_to_one: bool = False,
+    device: str = "cpu",
 ) -> Correspondence:
     """The nearest row of `target` (m, d) to each row of `source` (n, d) as a correspondence.
 
@@ -205,11 +208,13 @@ def match_embedded(
         Of the steps of `zoomout`.
     one_to_one
         Whether no target vertex may be matched twice, see `esd.matching.assignment`.
+    device
+        Where nearest rows are found, see `esd.learning.model.Model`.
     """
     rows = source, target
-    index, _ = nearest(*rows)
+    index, _ = nearest(*rows, device=device)
     if spectra is not None:
-        index = zoomout(*spectra, index, sizes=sizes, embeddings=(source, target))
+        index = zoomout(*spectra, index, sizes=sizes, embeddings=(source, target), device=device)
         if one_to_one:
             size = min(sizes[-1], *(len(pairs.eigenvalues) for pairs in spectra))
             rows = joint_rows(*spectra, index, size=size, embeddings=(source, target))

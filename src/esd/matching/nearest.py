@@ -13,10 +13,17 @@ _CHUNK_BYTES = 2**26
 _CHUNK_ROWS = 256  # at least, below which products of matrices become slow
 
 
-def nearest(source: FloatArray, target: FloatArray) -> tuple[IntArray, FloatArray]:
+def nearest(
+    source: FloatArray, target: FloatArray, *, device: str = "cpu"
+) -> tuple[IntArray, FloatArray]:
     """Index (n,) of the nearest row of `target` to each row of `source`, and the distance (n,).
 
     Rows that are not finite take no part: such a row of `source` has index -1, distance infinite.
+
+    Parameters
+    ----------
+    device
+        Where it is computed, see `esd.learning.model.Model`.
 
     Raises
     ------
@@ -29,8 +36,11 @@ def nearest(source: FloatArray, target: FloatArray) -> tuple[IntArray, FloatArra
     candidates = np.flatnonzero(np.isfinite(target).all(axis=1))
     if len(candidates) == 0:
         raise InputError("The target has no vertex with a finite descriptor.")
-    search = _by_tree if source.shape[1] <= _TREE_WIDTH else _by_products
-    found, reach = search(source[defined], target[candidates])
+    rows = source[defined], target[candidates]
+    if device == "cpu" and source.shape[1] <= _TREE_WIDTH:
+        found, reach = _by_tree(*rows)
+    else:
+        found, reach = _by_products(*rows, device)
     index = np.full(len(source), -1, dtype=np.int64)
     distance = np.full(len(source), np.inf)
     index[defined], distance[defined] = candidates[found], reach
@@ -44,7 +54,9 @@ def _by_tree(source: FloatArray, target: FloatArray) -> tuple[IntArray, FloatArr
     return np.asarray(index, dtype=np.int64), distance
 
 
-def _by_products(source: FloatArray, target: FloatArray) -> tuple[IntArray, FloatArray]:
+def _by_products(
+    source: FloatArray, target: FloatArray, device: str
+) -> tuple[IntArray, FloatArray]:
     """By |s − t|² = |s|² − 2 (s·t − |t|² / 2), centred, so that little cancels."""
     centre = target.mean(axis=0)
     source, target = source - centre, target - centre
@@ -53,8 +65,13 @@ def _by_products(source: FloatArray, target: FloatArray) -> tuple[IntArray, Floa
     lifted = np.hstack([target, -half_squares]).T
     rows = np.hstack([source, np.ones((len(source), 1), dtype=source.dtype)])
     index = np.empty(len(source), dtype=np.int64)
+    if device != "cpu":
+        import torch
+
+        rows, lifted = (torch.from_numpy(array).to(device) for array in (rows, lifted))
     for part in _parts(len(source), len(target)):
-        index[part] = (rows[part] @ lifted).argmax(axis=1)
+        best = (rows[part] @ lifted).argmax(axis=1)
+        index[part] = best if device == "cpu" else best.cpu()
     return index, np.linalg.norm(source - target[index], axis=1)
 
 

@@ -29,6 +29,7 @@ def zoomout(
     embeddings: tuple[FloatArray, FloatArray] | None = None,
     weight: float | None = None,
     bijective: bool = False,
+    device: str = "cpu",
 ) -> IntArray:
     """The target vertex of each source vertex, (n,), refined with more and more eigenfunctions.
 
@@ -54,6 +55,8 @@ def zoomout(
     bijective
         Whether the map back is refined along with the map, each drawing on both, which takes twice
         the time.
+    device
+        Where nearest rows are found, see `esd.learning.model.Model`.
 
     Raises
     ------
@@ -82,9 +85,9 @@ def zoomout(
         if bijective:
             functional = functional_map(target, source, back, size=size)
             rows = _side_by_side(rows, spectral_rows(target, source, functional)[::-1], 1.0)
-        index = _nearest(*rows)
+        index = _nearest(*rows, device)
         if bijective:
-            back = _nearest(*rows[::-1])
+            back = _nearest(*rows[::-1], device)
     return index
 
 
@@ -140,6 +143,6 @@ def _side_by_side(
     return source, target
 
 
-def _nearest(rows: FloatArray, candidates: FloatArray) -> IntArray:
+def _nearest(rows: FloatArray, candidates: FloatArray, device: str) -> IntArray:
     # 32 bits are far finer than the rows are accurate, and twice as fast
-    return nearest(rows.astype(np.float32), candidates.astype(np.float32))[0]
+    return nearest(rows.astype(np.float32), candidates.astype(np.float32), device=device)[0]
