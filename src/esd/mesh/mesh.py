@@ -240,9 +240,9 @@ def vertex_normals(mesh: Mesh) -> FloatArray:
 
     Zero where a vertex has no face or its normals cancel.
     """
-    normals = np.zeros_like(mesh.vertices)
+    normals, of_faces = np.zeros_like(mesh.vertices), face_normals(mesh)
     for corner in range(3):
-        np.add.at(normals, mesh.faces[:, corner], face_normals(mesh))
+        np.add.at(normals, mesh.faces[:, corner], of_faces)
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     return np.divide(normals, length, out=normals, where=length > 0)
 
@@ -313,5 +313,6 @@ def boundary_edges(mesh: Mesh) -> IntArray:
 
 def is_consistently_oriented(mesh: Mesh) -> bool:
     """Whether neighbouring faces wind the same way: no directed edge occurs twice."""
-    sides = mesh.faces[:, [[1, 2], [2, 0], [0, 1]]].reshape(-1, 2)
-    return len(np.unique(sides, axis=0)) == len(sides)
+    start, end = mesh.faces[:, [1, 2, 0]].ravel(), mesh.faces[:, [2, 0, 1]].ravel()
+    key = np.sort(start * len(mesh.vertices) + end)
+    return not (key[1:] == key[:-1]).any()

@@ -27,6 +27,7 @@ from esd.common import BoolArray, FloatArray, InputError, IntArray
 from esd.mesh.mesh import (
     Mesh,
     components,
+    edges,
     face_areas,
     is_consistently_oriented,
     is_referenced,
@@ -205,8 +206,10 @@ def _faces_around(faces: IntArray) -> sparse.csr_array:
 
 def _edges_and_sides(faces: IntArray, vertex_count: int) -> tuple[IntArray, IntArray]:
     """Edges, (e, 2), and the edge opposite to each corner, (m, 3)."""
-    sides = np.sort(faces[:, [[1, 2], [2, 0], [0, 1]]].reshape(-1, 2), axis=1)
-    key, side = np.unique(sides[:, 0] * vertex_count + sides[:, 1], return_inverse=True)
+    start, end = faces[:, [1, 2, 0]].ravel(), faces[:, [2, 0, 1]].ravel()
+    key, side = np.unique(
+        np.minimum(start, end) * vertex_count + np.maximum(start, end), return_inverse=True
+    )
     return np.stack([key // vertex_count, key % vertex_count], axis=1), side.reshape(-1, 3)
 
 
@@ -281,8 +284,7 @@ def _density_and_metric(
 
 def _bending(mesh: Mesh) -> FloatArray:
     """Squared change of the normal per length in all directions, smoothed, (n, 3, 3)."""
-    pairs, _ = _edges_and_sides(mesh.faces, len(mesh.vertices))
-    normals = vertex_normals(mesh)
+    pairs, normals = edges(mesh), vertex_normals(mesh)
     step = np.diff(mesh.vertices[pairs], axis=1)[:, 0]
     change = np.diff(normals[pairs], axis=1)[:, 0]
     squared = (step**2).sum(axis=1)
