@@ -173,19 +173,30 @@ def spectrum_descriptors(recipe: Recipe, shape: Mesh | PointCloud, pairs: Spectr
             "model of these."
         )
     outward = turned_outward(shape) if products and isinstance(shape, Mesh) else None
-    factors = {
-        of: _values(Descriptor(of, _WIDTHS[of], log=True), pairs)
-        for of in {part.options["of"] for part in products}
-    }
-    columns = [
-        _gradient_values(part, outward, pairs, factors[part.options["of"]])
-        if outward and part.kind in _PRODUCTS
-        else _values(part, pairs)
-        for part in recipe.descriptors
-    ]
-    values = np.concatenate(columns, axis=1)
+    fields = _fields(recipe, pairs)
+    values = np.empty((len(pairs.mass), recipe.width))  # filled part by part: the largest array
+    end = 0
+    for i, part in enumerate(recipe.descriptors):
+        start, end = end, end + part.count
+        values[:, start:end] = (
+            _gradient_values(part, outward, pairs, fields[i])
+            if outward and i in fields
+            else _values(part, pairs)
+        )
     values[pairs.mass == 0] = np.nan
     return values
+
+
+def _fields(recipe: Recipe, pairs: Spectrum) -> dict[int, FloatArray]:
+    """The fields whose gradients are multiplied, (n, c), by the place of their part."""
+    parts = {i: part for i, part in enumerate(recipe.descriptors) if part.kind in _PRODUCTS}
+    result = {}
+    for of in {part.options["of"] for part in parts.values()}:
+        every = _values(Descriptor(of, _WIDTHS[of], log=True), pairs)
+        for i, part in parts.items():
+            if part.options["of"] == of:
+                result[i] = every[:, part.options["columns"]]
+    return result
 
 
 def _values(part: Descriptor, pairs: Spectrum) -> FloatArray:
@@ -195,14 +206,13 @@ def _values(part: Descriptor, pairs: Spectrum) -> FloatArray:
 
 
 def _gradient_values(
-    part: Descriptor, mesh: Mesh, pairs: Spectrum, factors: FloatArray
+    part: Descriptor, mesh: Mesh, pairs: Spectrum, fields: FloatArray
 ) -> FloatArray:
-    columns = part.options["columns"]
     return gradient_products(
         mesh,
         pairs,
-        factors[:, columns],
-        pairs=neighbour_pairs(len(columns), reach=part.options["reach"]),
+        fields,
+        pairs=neighbour_pairs(fields.shape[1], reach=part.options["reach"]),
         times=np.asarray(part.options["times"]),
         parity=_PRODUCTS[part.kind],
     )

@@ -35,6 +35,7 @@ from esd.spectral.spectrum import Spectrum
 _FORMAT = 1
 _LARGEST_FILE = 2**30
 _LARGEST_CONFIG = 2**26
+_ROWS = 2**14  # embedded at a time, for the memory that dense meshes take
 _BUNDLED = Path(__file__).parent / "models"
 _ALIASES = {"default": "oriented"}
 
@@ -138,6 +139,9 @@ class Model:
             raise InputError(
                 f"'{self.name}' is convolutional: it embeds whole shapes, see `embed_mesh`."
             )
+        if self.patches is None and len(values) > _ROWS:
+            parts = range(0, len(values), _ROWS)
+            return np.concatenate([self.embed(values[i : i + _ROWS]) for i in parts])
         result = standardised(values, self.mean, self.deviation, limit=self.limit)
         if self.device != "cpu" and self.patches is None:
             from esd.learning.network import embedded

@@ -59,20 +59,28 @@ def _by_products(
 ) -> tuple[IntArray, FloatArray]:
     """By |s − t|² = |s|² − 2 (s·t − |t|² / 2), centred, so that little cancels."""
     centre = target.mean(axis=0)
-    source, target = source - centre, target - centre
     # one column more, so that a product of matrices gives all of the bracket
-    half_squares = np.einsum("ij,ij->i", target, target)[:, None] / 2
-    lifted = np.hstack([target, -half_squares]).T
-    rows = np.hstack([source, np.ones((len(source), 1), dtype=source.dtype)])
-    index = np.empty(len(source), dtype=np.int64)
+    a, b = _with_ones(source, centre), _with_ones(target, centre)
+    b[:, -1] = -np.einsum("ij,ij->i", b[:, :-1], b[:, :-1]) / 2
+    left, right = a, b.T
     if device != "cpu":
         import torch
 
-        rows, lifted = (torch.from_numpy(array).to(device) for array in (rows, lifted))
+        left, right = (torch.from_numpy(array).to(device) for array in (left, right))
+    index = np.empty(len(source), dtype=np.int64)
+    distance = np.empty(len(source))
     for part in _parts(len(source), len(target)):
-        best = (rows[part] @ lifted).argmax(axis=1)
+        best = (left[part] @ right).argmax(axis=1)
         index[part] = best if device == "cpu" else best.cpu()
-    return index, np.linalg.norm(source - target[index], axis=1)
+        distance[part] = np.linalg.norm((a[part] - b[index[part]])[:, :-1], axis=1)
+    return index, distance
+
+
+def _with_ones(rows: FloatArray, centre: FloatArray) -> FloatArray:
+    """Rows less their centre, and a column of ones."""
+    result = np.ones((len(rows), len(centre) + 1), dtype=rows.dtype)
+    np.subtract(rows, centre, out=result[:, :-1])
+    return result
 
 
 def nearest_candidates(

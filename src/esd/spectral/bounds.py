@@ -36,12 +36,16 @@ def error_bound(
         part = slice(start, start + _COLUMNS)
         residual[part] = (stiffness @ rows[part].T).T
         residual[part] -= values[part, None] * weighted(mass, rows[part])
-    dual = (
-        factorise(mass, mass, 0.0).solve(residual.T).T if sparse.issparse(mass) else residual / mass
-    )
-    bound = float(np.sqrt(np.einsum("ij,ij->", residual, dual))) / shortest
+    if sparse.issparse(mass):
+        dual = factorise(mass, mass, 0.0).solve(residual.T).T
+        square = np.einsum("ij,ij->", residual, dual)
+    else:
+        square = np.einsum("ij,ij,j->", residual, residual, 1 / mass)
+    bound = float(np.sqrt(square)) / shortest
     if bound <= tolerance * scale:
         return bound
+    if not sparse.issparse(mass):
+        dual = residual / mass
     bound = _spectral_norm(residual, dual) / shortest
     if bound <= tolerance * scale:
         return bound

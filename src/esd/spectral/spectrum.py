@@ -19,6 +19,8 @@ from esd.spectral.laplacian import LaplacianKind, SparseMatrix, laplacian
 
 _log = logging.getLogger(__name__)
 
+_ROUNDING = 1e-12  # relative difference of areas that are the same
+
 _SOLVER_VERSION = 2  # part of the cache's keys; raised when the eigenpairs may change
 
 
@@ -52,6 +54,8 @@ class Spectrum:
     def with_area(self, area: float) -> Spectrum:
         """The spectrum of the shape scaled to an area: λ ∝ 1 / area, φ ∝ 1 / √area, M ∝ area."""
         factor = area / self.area
+        if abs(factor - 1) < _ROUNDING:
+            return self
         return replace(
             self,
             eigenvalues=self.eigenvalues / factor,
