@@ -32,6 +32,18 @@ def blob() -> Mesh:
 
 
 @pytest.fixture
+def capped(blob: Mesh) -> Mesh:
+    """The blob with a vertex more on a side of every tenth face, which makes a line of a face."""
+    split = np.arange(0, len(blob.faces), 10)
+    a, b, c = blob.faces[split].T
+    new = len(blob.vertices) + np.arange(len(split))
+    middle = (blob.vertices[a] + blob.vertices[b]) / 2
+    pieces = [np.stack(corners, axis=1) for corners in ((a, b, new), (b, c, new), (c, a, new))]
+    faces = np.concatenate([np.delete(blob.faces, split, axis=0), *pieces])
+    return Mesh(np.concatenate([blob.vertices, middle]), faces)
+
+
+@pytest.fixture
 def collection(blob: Mesh) -> Collection:
     """Four bent copies of one shape; point p of the template is vertex p, but for one missing."""
 

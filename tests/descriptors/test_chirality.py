@@ -56,6 +56,11 @@ def test_rotation_scale_and_order_of_vertices_change_nothing(blob):
     np.testing.assert_allclose(there, here[order], atol=1e-6)
 
 
+def test_faces_that_are_lines_change_little(blob, capped):
+    here, there = descriptors(RECIPE, blob), descriptors(RECIPE, capped)[: len(blob.vertices)]
+    assert np.abs(there - here).mean() < 0.25 * np.abs(here).mean()
+
+
 def test_other_triangles_of_a_surface_change_little(blob):
     fine = remesh(blob, 2500, style="even", seed=0)
     coarse = remesh(fine.mesh, 2000, style="stretched", seed=1)

@@ -6,7 +6,7 @@ from esd.common import InputError
 from esd.mesh.mesh import Mesh, surface_area
 from esd.mesh.shapes import grid, icosphere
 from esd.spectral.cache import Cache, content_key, default_cache
-from esd.spectral.laplacian import consistent_mass, laplacian, lumped_mass, stiffness
+from esd.spectral.laplacian import consistent_mass, cotangents, laplacian, lumped_mass, stiffness
 from esd.spectral.spectrum import save_spectrum, spectrum
 
 
@@ -37,6 +37,18 @@ def test_degenerate_faces_leave_the_operators_finite():
     flat = Mesh([[0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 1, 0]], [[0, 1, 2], [0, 1, 3]])
     assert np.isfinite(stiffness(flat).toarray()).all()
     assert (lumped_mass(flat) > 0).all()
+
+
+def test_faces_that_are_lines_leave_the_spectrum(blob, capped):
+    assert np.abs(cotangents(capped)).max() < 2e4
+    assert np.linalg.eigvalsh(stiffness(capped).toarray()).min() > -1e-9
+    here, there = spectrum(blob, 40), spectrum(capped, 40)
+    np.testing.assert_allclose(there.eigenvalues, here.eigenvalues, rtol=0.02, atol=1e-9)
+
+
+def test_faces_that_are_points_have_no_stiffness():
+    mesh = Mesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2], [0, 0, 0]])
+    assert (cotangents(mesh)[1] == 0).all()
 
 
 def test_sphere_eigenvalues_converge_at_order_two():

@@ -21,7 +21,7 @@ from esd.mesh.mesh import Mesh
 from esd.parallel import outcomes
 from esd.spectral.cache import content_key, default_cache
 
-_VERSION = 1  # part of the keys; raised when the descriptors of a shape may change
+_VERSION = 2  # part of the keys; raised when the descriptors of a shape may change
 
 
 @dataclass(frozen=True, slots=True)

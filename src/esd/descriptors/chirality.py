@@ -10,7 +10,7 @@ from scipy import sparse
 
 from esd.common import FloatArray, InputError, IntArray
 from esd.mesh.mesh import Mesh
-from esd.mesh.topology import has_sides
+from esd.mesh.topology import SLIVER, has_sides, quality
 from esd.spectral.laplacian import cotangents
 from esd.spectral.spectrum import Spectrum
 
@@ -47,7 +47,8 @@ def gradient_products(
     points that mirror each other; χ of two of them is not.
 
     ⟨n, ∇f × ∇g⟩ dA is the two-form df ∧ dg, whose integral over a triangle is half the determinant
-    of the differences of f and g along two sides, whatever the lengths of the sides. Smoothing
+    of the differences of f and g along two sides, whatever the lengths of the sides. ⟨∇f, ∇g⟩ of
+    slivers is not counted. Smoothing
     before division, not after it, keeps noise small where a gradient vanishes.
 
     Parameters
@@ -81,7 +82,9 @@ def gradient_products(
     f, g = pairs.T
     to_vertices = _thirds(mesh)
     steps = [fields[mesh.faces[:, i - 1]] - fields[mesh.faces[:, i - 2]] for i in range(3)]
-    weights, every = cotangents(mesh), np.arange(fields.shape[1])
+    # across a sliver a gradient is a small difference over a smaller length: mostly error
+    weights = np.where(quality(mesh)[:, None] < SLIVER, 0.0, cotangents(mesh))
+    every = np.arange(fields.shape[1])
     squared = to_vertices @ _inner(weights, steps, every, every)
     product = to_vertices @ (
         _wedge(steps, f, g) if parity == "odd" else _inner(weights, steps, f, g)

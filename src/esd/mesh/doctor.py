@@ -28,6 +28,7 @@ from esd.mesh.mesh import (
 )
 from esd.mesh.smoothing import smoothed
 from esd.mesh.topology import (
+    SLIVER,
     Sides,
     compacted,
     cut_apart,
@@ -50,7 +51,6 @@ from esd.mesh.topology import (
 RESTORED = frozenset({"holes", "folded_edges"})
 """Findings about which something is done where a surface is restored, see `repair`."""
 
-_SLIVER = 0.02  # quality 4 √3 area / Σ side²; one for equal sides, here an angle of about a degree
 _FOLDED = 0.03  # share of the edges; up to half of that is ordinary in toes and ears
 _FAR = 1e5  # sizes of the shape away from the origin, beyond which single precision lost its form
 _LARGEST, _SMALLEST = 1e75, 1e-75  # sizes whose fourth power is still a number
@@ -319,7 +319,7 @@ def _examine(mesh: Mesh) -> list[Finding]:
         return [*findings, Finding("flat_meshes", 1, 1.0)]
     # what follows is that of the surface that is computed on
     mesh = without_repeats(replace(mesh, faces=first[mesh.faces]))
-    findings += _found("slivers", quality(mesh) < _SLIVER)
+    findings += _found("slivers", quality(mesh) < SLIVER)
     sides = sides_of(mesh)
     crowded = (sides.count > 2) & ~sides.next
     edge_count = int((~sides.next).sum())

@@ -96,9 +96,9 @@ _KINDS = {
     "slivers": _Kind(
         "sliver face",
         "sliver faces",
-        0.05,
-        "Cotangents of angles near zero: eigenfunctions are distorted nearby.",
-        "nothing is moved; take the robust Laplacian",
+        0.2,
+        "Little: flat angles are made less flat, and gradients across slivers not counted.",
+        "nothing is moved; the robust Laplacian sees none of them",
     ),
     "non_manifold_edges": _Kind(
         "edge of more than two faces",

@@ -17,6 +17,9 @@ from esd.mesh.mesh import (
     is_referenced,
 )
 
+SLIVER = 0.02
+"""`quality` below which a face is a sliver: with an angle of about a degree."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sides:

@@ -17,7 +17,8 @@ LaplacianKind: TypeAlias = Literal["cotangent", "robust"]
 
 _FEWEST_POINTS = 5
 _NEIGHBOURS = 30  # of a point, among which its piece of surface is triangulated
-_AREA_FLOOR = 1e-10  # of the mean face area; below it a cotangent is rounding error
+_AREA_FLOOR = 1e-10  # of the mean area of a vertex, below which it has no mass to speak of
+_FLATTEST = 1e-4  # `esd.mesh.topology.quality` below which a face counts as if it had it
 
 
 def laplacian(
@@ -67,15 +68,14 @@ def stiffness(mesh: Mesh) -> SparseMatrix:
 def cotangents(mesh: Mesh) -> FloatArray:
     """Cotangents of the angles at the corners of the faces, (m, 3), from the edge lengths alone.
 
-    The area of a degenerate face is floored at a tiny share of the mean, so all are finite.
+    Those of a face that is nearly a line are made smaller, all by one factor: otherwise they would
+    outweigh all others, and the stiffness be mostly rounding errors.
     """
     squared = edge_lengths(mesh) ** 2
-    area = _heron(np.sqrt(squared))
-    floor = _AREA_FLOOR * max(float(area.mean()), float(squared.mean()) * _AREA_FLOOR)
+    total = squared.sum(axis=1, keepdims=True)
+    area = np.maximum(_heron(np.sqrt(squared))[:, None], _FLATTEST / (4 * 3**0.5) * total)
     # (sum of the squared sides at the corner − square of the side opposite to it) / (4 · area)
-    return np.asarray(
-        (squared.sum(axis=1, keepdims=True) - 2 * squared) / (4 * np.maximum(area, floor)[:, None])
-    )
+    return np.asarray((total - 2 * squared) / (4 * np.maximum(area, np.finfo(float).tiny)))
 
 
 def lumped_mass(mesh: Mesh) -> FloatArray:

@@ -21,7 +21,7 @@ _log = logging.getLogger(__name__)
 
 _ROUNDING = 1e-12  # relative difference of areas that are the same
 
-_SOLVER_VERSION = 2  # part of the cache's keys; raised when the eigenpairs may change
+_SOLVER_VERSION = 3  # part of the cache's keys; raised when the eigenpairs may change
 
 
 @dataclass(frozen=True, slots=True, eq=False)
