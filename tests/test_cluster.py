@@ -88,3 +88,25 @@ def test_a_cluster_computes_the_same_bytes_and_outlives_a_worker(cluster, shapes
         lines += process.stdout.readlines()
         assert process.wait() == 0, (tmp_path / "log").read_text()
     assert sorted(lines) == sorted(f"{i} {i**2} None\n" for i in range(JOBS))
+
+
+def test_a_cluster_matches_and_evaluates_as_one_process_does(cluster, shapes, tmp_path):
+    address, _ = cluster
+    (tmp_path / "pairs.csv").write_text(
+        "source,target\nset/tr_reg_000.off,set/tr_reg_010.off\nset/tr_reg_020.off,set/tr_reg_000.off\n"
+    )
+    esd = [sys.executable, "-m", "esd"]
+    figures, maps = [], []
+    for folder, how in (("there", ["--scheduler", address]), ("here", ["--workers", "1"])):
+        (tmp_path / folder).mkdir()
+        command = [*esd, "match", "--batch", "pairs.csv", "-m", "gps", "-o", folder, *how]
+        with started(command, tmp_path) as process:
+            assert process.wait() == 0, (tmp_path / "log").read_text()
+        maps.append([path.read_bytes() for path in sorted((tmp_path / folder).glob("*.csv"))])
+        command = [*esd, "evaluate", "set", "-m", "gps", "--json", *how]
+        with started(command, tmp_path, stdout=subprocess.PIPE, text=True) as process:
+            figures.append(json.loads(process.stdout.read()) | {"seconds": 0})
+    assert len(maps[0]) == 2
+    assert maps[0] == maps[1]
+    assert figures[0] == figures[1]
+    assert not list(tmp_path.glob(".esd-*"))

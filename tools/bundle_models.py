@@ -9,7 +9,6 @@ restricts it to some.
 from __future__ import annotations
 
 import argparse
-import os
 import subprocess
 import sys
 from dataclasses import replace
@@ -31,7 +30,7 @@ def figures(model: Model, collection: Collection, *, refine: bool) -> str:
         model,
         collection.pairs(),
         refine=refine,
-        processes=os.cpu_count() or 1,
+        workers=None,
         cache=default_cache(),
     )
     symmetric = result.symmetric_mean_geodesic_error_x100

@@ -18,6 +18,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import islice
 from multiprocessing import get_context, parent_process
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Generic, TypeVar
 
 from threadpoolctl import ThreadpoolController, threadpool_limits
@@ -86,6 +88,14 @@ def outcomes(
                 continue
             suspects = True
             yield from _pooled(function, iter([outcome.job]), 1)
+
+
+@contextmanager
+def shared_folder(scheduler: str | None = None) -> Iterator[Path]:
+    """A temporary folder that the workers see: within the current one if a scheduler has them."""
+    here = None if scheduler is None else Path.cwd()
+    with TemporaryDirectory(prefix=".esd-", dir=here) as name:
+        yield Path(name)
 
 
 def core_count() -> int:

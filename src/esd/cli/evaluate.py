@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from esd.cli.match import DeviceOption, RefineOption, RejectOption
+from esd.cli.match import DeviceOption, RefineOption, RejectOption, SchedulerOption, WorkersOption
 from esd.cli.output import ForceOption, free_path, tell
 from esd.cli.train import DatasetArgument
 
@@ -38,6 +38,8 @@ def evaluate(
     ] = None,
     refine: RefineOption = None,
     reject: RejectOption = False,
+    workers: WorkersOption = None,
+    scheduler: SchedulerOption = None,
     device: DeviceOption = "cpu",
     plot: Annotated[
         Path | None,
@@ -55,7 +57,6 @@ def evaluate(
     Without --pairs or --include, all pairs of different subjects are mapped, of 'bodies' only
     those of the subjects kept for testing.
     """
-    import os
     from dataclasses import asdict
 
     from esd.cli.progress import progress
@@ -68,13 +69,16 @@ def evaluate(
 
     if pairs and include:
         raise InputError("Give --pairs or --include, not both.")
+    if workers and scheduler:
+        raise InputError("Give --workers or --scheduler, not both.")
     if plot:
         # before the work, which can take long
         from esd.viewing.figures import check_figure_path, errors_figure, save_figure
 
         free_path(check_figure_path(plot), force=force)
     models = [load_model(name, device=device) for name in dict.fromkeys(model)]
-    collection = open_collection(dataset)
+    # workers of a cluster may run in other folders
+    collection = open_collection(Path(dataset).resolve() if Path(dataset).exists() else dataset)
     if pairs:
         chosen = read_pairs(pairs, collection)
     elif include:
@@ -90,7 +94,8 @@ def evaluate(
                 chosen,
                 refine=refine,
                 reject=reject,
-                processes=os.cpu_count() or 1,
+                workers=workers,
+                scheduler=scheduler,
                 cache=default_cache(),
                 on_pair=lambda: went(1),
             )

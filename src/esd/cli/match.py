@@ -19,6 +19,13 @@ WorkersOption = Annotated[
     int | None,
     typer.Option(min=1, help="Processes; by default one for each core.", show_default=False),
 ]
+SchedulerOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS",
+        help="Compute on the workers of a Dask scheduler, such as tcp://host:8786.",
+    ),
+]
 ModelOption = Annotated[
     str,
     typer.Option(
@@ -95,6 +102,7 @@ def match(
         ),
     ] = None,
     workers: WorkersOption = None,
+    scheduler: SchedulerOption = None,
     device: DeviceOption = "cpu",
     as_json: Annotated[bool, typer.Option("--json", help="Print a summary as JSON.")] = False,
     force: ForceOption = False,
@@ -114,9 +122,11 @@ def match(
     if batch is not None:
         if source or view:
             raise typer.BadParameter("--batch takes neither SOURCE and TARGET nor --view.")
+        if workers and scheduler:
+            raise typer.BadParameter("Give --workers or --scheduler, not both.")
         options: dict[str, Any] = {"refine": refine, "reject": reject}
         options |= {"one_to_one": one_to_one, "everything": repair, "coarse": coarse}
-        options["workers"] = workers
+        options |= {"workers": workers, "scheduler": scheduler}
         loaded = load_model(model, device=device)
         _match_batch(batch, output, loaded, as_json=as_json, force=force, **options)
         return
@@ -181,7 +191,10 @@ def _match_batch(
     from esd.matching.batch import match_files, read_pairs_of_files
 
     start = time.perf_counter()
-    pairs = read_pairs_of_files(batch, folder=folder or Path())
+    folder = folder or Path()
+    if options["scheduler"]:  # its workers may run in other folders
+        batch, folder = batch.resolve(), folder.resolve()
+    pairs = read_pairs_of_files(batch, folder=folder)
     for pair in pairs:
         free_path(pair.output, force=force)
     steps = len(pairs) + len({file for pair in pairs for file in (pair.source, pair.target)})

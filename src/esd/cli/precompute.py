@@ -8,17 +8,9 @@ from typing import Annotated
 
 import typer
 
-from esd.cli.match import WorkersOption
+from esd.cli.match import SchedulerOption, WorkersOption
 from esd.cli.output import ForceOption, tell
 from esd.cli.train import DatasetArgument
-
-SchedulerOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="ADDRESS",
-        help="Compute on the workers of a Dask scheduler, such as tcp://host:8786.",
-    ),
-]
 
 
 def precompute(

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from multiprocessing import get_context
+from pathlib import Path
 
 import numpy as np
 
@@ -16,11 +14,12 @@ from esd.common import FloatArray, InputError, IntArray
 from esd.datasets.collection import Shape, mended
 from esd.evaluation.errors import area_under_curve, geodesic_errors
 from esd.learning.model import Model
-from esd.matching.described import describe
+from esd.matching.described import describe, keep, kept
 from esd.matching.match import match_embedded
 from esd.mesh.doctor import RESTORED, repair
 from esd.mesh.geodesics import geodesic_diameter, geodesic_graph
 from esd.mesh.mesh import Mesh, surface_area
+from esd.parallel import outcomes, shared_folder
 from esd.spectral.cache import Cache
 from esd.spectral.spectrum import Spectrum
 
@@ -91,6 +90,14 @@ class Evaluation:
     seconds: float
 
 
+@dataclass(frozen=True, slots=True)
+class _Place:
+    """The name of a shape, and the folder where what is computed of it is kept."""
+
+    name: str
+    folder: Path
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Embedded:
     """A shape as it is matched, and as it is measured.
@@ -107,7 +114,6 @@ class _Embedded:
         Vertices at the points of the template.
     """
 
-    name: str
     mesh: Mesh
     pairs: Spectrum
     values: FloatArray
@@ -122,11 +128,14 @@ def evaluate(
     *,
     refine: bool | None = None,
     reject: bool = False,
-    processes: int = 1,
+    workers: int | None = 1,
+    scheduler: str | None = None,
     cache: Cache | None = None,
     on_pair: Callable[[], None] = lambda: None,
 ) -> tuple[Evaluation, tuple[PairErrors, ...]]:
-    """Figures of a model over pairs of shapes, and the errors of each pair.
+    """Figures of a model over pairs of shapes, and the errors of each pair, in their order.
+
+    First each shape is described, once, and kept on disk meanwhile; then the pairs are matched.
 
     Parameters
     ----------
@@ -136,8 +145,9 @@ def evaluate(
         Whether maps are refined by `zoomout`; by default if the model tells left from right.
     reject
         Whether matches beyond the model's threshold are dropped.
-    processes
-        Number of processes that measure distances.
+    workers, scheduler
+        See `esd.parallel.outcomes`. Workers of a scheduler must see the files of the shapes, and
+        the current folder, under the same names.
     cache
         Where spectra are looked up and kept.
     on_pair
@@ -156,57 +166,73 @@ def evaluate(
     for shape in (shape for pair in pairs for shape in pair):
         if shape is not shapes[shape.name]:
             raise InputError(f"Two different shapes are called '{shape.name}'; rename one.")
-    embedded = {name: _embedded(model, shape, cache) for name, shape in shapes.items()}
-    sources: dict[str, list[_Embedded]] = {}
-    for source, target in pairs:
-        sources.setdefault(target.name, []).append(embedded[source.name])
-    jobs = [(embedded[name], group) for name, group in sources.items()]
-    work = partial(
-        _errors_on_target,
-        margin=model.margin,
-        refine=refine,
-        threshold=threshold,
-        device=model.device,
-    )
     found: list[PairErrors] = []
-    with _mapping(min(processes, len(jobs))) as mapping:
-        for results in mapping(work, jobs):
-            found += results
-            for _ in results:
+    with shared_folder(scheduler) as folder:
+        places = {name: _Place(name, folder / str(i)) for i, name in enumerate(shapes)}
+        first = partial(_embed, model=model, cache=cache)
+        jobs = ((shape, places[name]) for name, shape in shapes.items())
+        for described in outcomes(first, jobs, workers=workers, scheduler=scheduler):
+            if described.failure:
+                raise InputError(f"'{described.job[0].name}': {described.failure}")
+        sources: dict[str, list[_Place]] = {}
+        for source, target in pairs:
+            sources.setdefault(target.name, []).append(places[source.name])
+        work = partial(
+            _errors_on_target,
+            margin=model.margin,
+            refine=refine,
+            threshold=threshold,
+            device=model.device,
+        )
+        groups = ((places[name], group) for name, group in sources.items())
+        for matched in outcomes(work, groups, workers=workers, scheduler=scheduler):
+            if matched.result is None:
+                raise InputError(f"'{matched.job[0].name}' as target: {matched.failure}")
+            found += matched.result
+            for _ in matched.result:
                 on_pair()
+    order = {(source.name, target.name): i for i, (source, target) in enumerate(pairs)}
+    found.sort(key=lambda errors: order[errors.source, errors.target])
     return _summary(found, time.perf_counter() - start), tuple(found)
 
 
-@contextmanager
-def _mapping(processes: int) -> Iterator[Callable[..., Iterable[list[PairErrors]]]]:
-    """`map`, over processes if there are several: shortest paths hold the interpreter's lock."""
-    if processes <= 1:
-        yield map
-        return
-    # spawned, because forking a process that runs threads can hang
-    with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
-        yield pool.map
-
-
-def _embedded(model: Model, shape: Shape, cache: Cache | None) -> _Embedded:
+def _embed(job: tuple[Shape, _Place], *, model: Model, cache: Cache | None) -> None:
+    """Compute what `_embedded` reads."""
+    shape, place = job
     repaired, index, symmetric = mended(shape)
-    try:
-        described = describe(repaired, model=model, cache=cache)
-    except InputError as error:
-        raise InputError(f"'{shape.name}': {error}") from error
+    described = describe(repaired, model=model, cache=cache)
     mesh, stands = repaired.shape, np.arange(len(repaired.original_index))
     if repaired.done & RESTORED:
         mesh = repair(shape.mesh(), all_pieces=True).shape
         fill = slice(len(mesh.vertices), None)
         stands[fill] = repaired.vertex_index[repaired.original_index[fill]]
     assert isinstance(mesh, Mesh)
-    return _Embedded(
-        shape.name, mesh, described.spectrum, described.embedded, stands, index, symmetric
+    keep(described, place.folder)
+    np.savez(
+        place.folder / "measured.npz",
+        vertices=mesh.vertices,
+        faces=mesh.faces,
+        stands=stands,
+        index=index,
+        symmetric=np.zeros(0) if symmetric is None else symmetric,
     )
 
 
+def _embedded(place: _Place) -> _Embedded:
+    described = kept(place.folder)
+    with np.load(place.folder / "measured.npz", allow_pickle=False) as measured:
+        return _Embedded(
+            Mesh(measured["vertices"], measured["faces"]),
+            described.spectrum,
+            described.embedded,
+            measured["stands"],
+            measured["index"],
+            measured["symmetric"] if len(measured["symmetric"]) else None,
+        )
+
+
 def _errors_on_target(
-    job: tuple[_Embedded, list[_Embedded]],
+    job: tuple[_Place, list[_Place]],
     *,
     margin: float | None,
     refine: bool,
@@ -214,7 +240,7 @@ def _errors_on_target(
     device: str,
 ) -> list[PairErrors]:
     """Errors of the maps from several sources to one target."""
-    target, sources = job
+    target, sources = _embedded(job[0]), [_embedded(place) for place in job[1]]
     graph = geodesic_graph(target.mesh)
     diameter = geodesic_diameter(target.mesh, graph=graph)
     maps = []
@@ -240,15 +266,15 @@ def _errors_on_target(
     nearer = errors[0] if len(errors) == 1 else np.fmin(*errors)
     return [
         PairErrors(
-            source=source.name,
-            target=target.name,
+            source=job[1][i].name,
+            target=job[0].name,
             errors=errors[0][i, shared[i]],
             symmetric_errors=None if target.symmetric is None else nearer[i, shared[i]],
             square_root_area=surface_area(target.mesh) ** 0.5,
             diameter=diameter,
             coverage=len(np.unique(maps[i][maps[i] >= 0])) / len(target.mesh.vertices),
         )
-        for i, source in enumerate(sources)
+        for i in range(len(sources))
     ]
 
 

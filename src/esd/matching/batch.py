@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import os
-import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -18,7 +17,7 @@ from esd.matching.correspondence import check_map_path, save_map
 from esd.matching.described import describe, keep, kept
 from esd.matching.match import check_copies, match_described
 from esd.mesh.doctor import repair
-from esd.parallel import outcomes
+from esd.parallel import outcomes, shared_folder
 from esd.spectral.cache import default_cache
 
 
@@ -115,6 +114,7 @@ def match_files(
     everything: bool = False,
     coarse: int | None = None,
     workers: int | None = None,
+    scheduler: str | None = None,
     on_step: Callable[[], None] = lambda: None,
 ) -> Iterator[MatchedPair]:
     """Match pairs of files in several processes and write their maps, as by `match`.
@@ -130,19 +130,20 @@ def match_files(
         See `esd.mesh.doctor.repair`.
     coarse
         See `match`.
-    workers
-        See `esd.parallel.outcomes`.
+    workers, scheduler
+        See `esd.parallel.outcomes`. Workers of a scheduler must see the meshes, the current folder
+        and those of the maps under the same names.
     on_step
         Called after each shape and after each pair, to show progress.
     """
     check_copies(one_to_one=one_to_one, coarse=coarse)
     threshold = model.threshold() if reject else np.inf
     files = list(dict.fromkeys(file for pair in pairs for file in (pair.source, pair.target)))
-    with tempfile.TemporaryDirectory(prefix="esd-") as name:
-        places = {file: Path(name) / str(number) for number, file in enumerate(files)}
+    with shared_folder(scheduler) as folder:
+        places = {file: folder / str(number) for number, file in enumerate(files)}
         first = partial(_describe, places=places, model=model, everything=everything, coarse=coarse)
         failures = {}
-        for described in outcomes(first, files, workers=workers):
+        for described in outcomes(first, files, workers=workers, scheduler=scheduler):
             if described.failure:
                 failures[described.job] = f"'{described.job}': {described.failure}"
             on_step()
@@ -162,7 +163,7 @@ def match_files(
             one_to_one=one_to_one,
             threshold=threshold,
         )
-        for matched in outcomes(work, sound, workers=workers):
+        for matched in outcomes(work, sound, workers=workers, scheduler=scheduler):
             on_step()
             yield matched.result or MatchedPair(matched.job, failure=matched.failure)
 
