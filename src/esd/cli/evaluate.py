@@ -87,7 +87,8 @@ def evaluate(
         kept = collection.testing_subjects or collection.subjects
         chosen = collection.of_subjects(kept).pairs()
     figures, errors = [], {}
-    with progress("evaluating", len(chosen) * len(models)) as went:
+    steps = len(chosen) + len({shape.name for pair in chosen for shape in pair})
+    with progress("evaluating", steps * len(models)) as went:
         for name, loaded in zip(dict.fromkeys(model), models, strict=True):
             result, found = evaluate_model(
                 loaded,
@@ -97,7 +98,7 @@ def evaluate(
                 workers=workers,
                 scheduler=scheduler,
                 cache=default_cache(),
-                on_pair=lambda: went(1),
+                on_step=lambda: went(1),
             )
             measured = {key: value for key, value in asdict(result).items() if value is not None}
             figures.append({"model": loaded.name, "data": collection.name, **measured})

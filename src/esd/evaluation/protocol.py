@@ -131,7 +131,7 @@ def evaluate(
     workers: int | None = 1,
     scheduler: str | None = None,
     cache: Cache | None = None,
-    on_pair: Callable[[], None] = lambda: None,
+    on_step: Callable[[], None] = lambda: None,
 ) -> tuple[Evaluation, tuple[PairErrors, ...]]:
     """Figures of a model over pairs of shapes, and the errors of each pair, in their order.
 
@@ -150,8 +150,8 @@ def evaluate(
         the current folder, under the same names.
     cache
         Where spectra are looked up and kept.
-    on_pair
-        Called after each pair, to show progress.
+    on_step
+        Called after each shape and after each pair, to show progress.
 
     Raises
     ------
@@ -172,8 +172,10 @@ def evaluate(
         first = partial(_embed, model=model, cache=cache)
         jobs = ((shape, places[name]) for name, shape in shapes.items())
         for described in outcomes(first, jobs, workers=workers, scheduler=scheduler):
-            if described.failure:
-                raise InputError(f"'{described.job[0].name}': {described.failure}")
+            said, name = described.failure, described.job[0].name
+            if said:
+                raise InputError(said if f"'{name}'" in said else f"'{name}': {said}")
+            on_step()
         sources: dict[str, list[_Place]] = {}
         for source, target in pairs:
             sources.setdefault(target.name, []).append(places[source.name])
@@ -190,7 +192,7 @@ def evaluate(
                 raise InputError(f"'{matched.job[0].name}' as target: {matched.failure}")
             found += matched.result
             for _ in matched.result:
-                on_pair()
+                on_step()
     order = {(source.name, target.name): i for i, (source, target) in enumerate(pairs)}
     found.sort(key=lambda errors: order[errors.source, errors.target])
     return _summary(found, time.perf_counter() - start), tuple(found)
