@@ -161,6 +161,20 @@ def dirty(share: float) -> Alter:
     return alter
 
 
+def lined(share: float) -> Alter:
+    """Some faces cut into a line and two others, by a vertex more on one of their sides."""
+
+    def alter(mesh: Mesh, rng: np.random.Generator) -> Altered:
+        count, cut = len(mesh.vertices), rng.random(len(mesh.faces)) < share
+        a, b, c = mesh.faces[cut].T
+        middle = count + np.arange(len(a))
+        vertices = np.concatenate([mesh.vertices, (mesh.vertices[a] + mesh.vertices[b]) / 2])
+        pieces = [np.stack([*side, middle], axis=1) for side in ((a, b), (b, c), (c, a))]
+        return vertices, np.concatenate([mesh.faces[~cut], *pieces]), np.arange(count)
+
+    return alter
+
+
 ALTERATIONS: dict[str, Alter] = {
     FIRST: with_vertices(lambda mesh, rng: mesh.vertices),
     "rotated": with_vertices(rotated),
@@ -184,6 +198,8 @@ ALTERATIONS: dict[str, Alter] = {
     "faces torn loose, all": torn(1.0),
     "faces wound the other way, 5 %": turned(0.05),
     "faces wound the other way, 50 %": turned(0.5),
+    "a line beside 0.1 % of the faces": lined(0.001),
+    "a line beside 10 %": lined(0.1),
     "dirt, 0.2 %": dirty(0.002),
     "dirt, 3 %": dirty(0.03),
     "triangles: even, 5,000 vertices": with_triangles(
@@ -197,6 +213,9 @@ ALTERATIONS: dict[str, Alter] = {
     ),
     "triangles: dense, 20,000 (each in four)": with_triangles(subdivide),
     "triangles: long, 5,000 (library)": with_triangles(stretched),
+    "triangles: decimated, 10,000 (each in four, half left)": with_triangles(
+        lambda mesh: decimated(subdivide(mesh), 10_000)
+    ),
     "triangles: by curvature, 3,000 (library)": with_triangles(lambda mesh: decimated(mesh, 3000)),
 }
 
