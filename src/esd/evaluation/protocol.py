@@ -91,7 +91,7 @@ class Evaluation:
 
 
 @dataclass(frozen=True, slots=True)
-class _Place:
+class _Kept:
     """The name of a shape, and the folder where what is computed of it is kept."""
 
     name: str
@@ -168,7 +168,7 @@ def evaluate(
             raise InputError(f"Two different shapes are called '{shape.name}'; rename one.")
     found: list[PairErrors] = []
     with shared_folder(scheduler) as folder:
-        places = {name: _Place(name, folder / str(i)) for i, name in enumerate(shapes)}
+        places = {name: _Kept(name, folder / str(i)) for i, name in enumerate(shapes)}
         first = partial(_embed, model=model, cache=cache)
         jobs = ((shape, places[name]) for name, shape in shapes.items())
         for described in outcomes(first, jobs, workers=workers, scheduler=scheduler):
@@ -176,7 +176,7 @@ def evaluate(
             if said:
                 raise InputError(said if f"'{name}'" in said else f"'{name}': {said}")
             on_step()
-        sources: dict[str, list[_Place]] = {}
+        sources: dict[str, list[_Kept]] = {}
         for source, target in pairs:
             sources.setdefault(target.name, []).append(places[source.name])
         work = partial(
@@ -198,7 +198,7 @@ def evaluate(
     return _summary(found, time.perf_counter() - start), tuple(found)
 
 
-def _embed(job: tuple[Shape, _Place], *, model: Model, cache: Cache | None) -> None:
+def _embed(job: tuple[Shape, _Kept], *, model: Model, cache: Cache | None) -> None:
     """Compute what `_embedded` reads."""
     shape, place = job
     repaired, index, symmetric = mended(shape)
@@ -220,7 +220,7 @@ def _embed(job: tuple[Shape, _Place], *, model: Model, cache: Cache | None) -> N
     )
 
 
-def _embedded(place: _Place) -> _Embedded:
+def _embedded(place: _Kept) -> _Embedded:
     described = kept(place.folder)
     with np.load(place.folder / "measured.npz", allow_pickle=False) as measured:
         return _Embedded(
@@ -234,7 +234,7 @@ def _embedded(place: _Place) -> _Embedded:
 
 
 def _errors_on_target(
-    job: tuple[_Place, list[_Place]],
+    job: tuple[_Kept, list[_Kept]],
     *,
     margin: float | None,
     refine: bool,
