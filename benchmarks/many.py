@@ -3,7 +3,7 @@
     python benchmarks/many.py                      # 40,000 shapes, half an hour on two cores
     python benchmarks/many.py --shapes 2000
 
-Each shape is a blend of two bodies on one triangulation of about 360 vertices, in a file of its
+Each shape is a blend of two bodies on one triangulation of about 450 vertices, in a file of its
 own. Training is measured from the store of all and from a store of 80; steps per second are those
 between two trainings that differ in their number of steps.
 """
