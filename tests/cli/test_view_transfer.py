@@ -59,7 +59,7 @@ def test_view_writes_a_page_with_the_error(run, pair):
     run("view", "a.off", "b.off", "map.csv", *points, "-o", "p.html", where=pair)
     assert (pair / "t.html").read_text() == (pair / "p.html").read_text()
     assert '["error", "f4"' in (pair / "p.html").read_text()
-    done = run("view", "a.off", "b.off", "map.csv", *points, "--truth", "map.csv", "-o", "q.html", where=pair, expect=1)  # fmt: skip
+    done = run("view", "a.off", "b.off", "map.csv", *points, "--truth", "map.csv", "-o", "q.html", where=pair, expect=2)  # fmt: skip
     assert "--truth or --points, not both" in done.stderr
     (pair / "b.vts").write_text("1\n2\n")
     done = run("view", "a.off", "b.off", "map.csv", *points, "-o", "q.html", where=pair, expect=1)

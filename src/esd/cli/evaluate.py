@@ -60,7 +60,6 @@ def evaluate(
     from dataclasses import asdict
 
     from esd.cli.progress import progress
-    from esd.common import InputError
     from esd.datasets.collection import read_pairs
     from esd.datasets.open import open_collection
     from esd.evaluation.protocol import evaluate as evaluate_model
@@ -68,9 +67,9 @@ def evaluate(
     from esd.spectral.cache import default_cache
 
     if pairs and include:
-        raise InputError("Give --pairs or --include, not both.")
+        raise typer.BadParameter("Give --pairs or --include, not both.")
     if workers and scheduler:
-        raise InputError("Give --workers or --scheduler, not both.")
+        raise typer.BadParameter("Give --workers or --scheduler, not both.")
     if plot:
         # before the work, which can take long
         from esd.viewing.figures import check_figure_path, errors_figure, save_figure

@@ -54,9 +54,9 @@ def precompute(
 
     start = time.perf_counter()
     if preset and model:
-        raise InputError("Give --preset or --model, not both.")
+        raise typer.BadParameter("Give --preset or --model, not both.")
     if workers and scheduler:
-        raise InputError("Give --workers or --scheduler, not both.")
+        raise typer.BadParameter("Give --workers or --scheduler, not both.")
     if output.suffix.lower() not in (".h5", ".hdf5"):
         raise InputError(f"'{output}': stores are written to .h5 files.")
     training = named_preset(preset) if preset else None

@@ -58,7 +58,6 @@ def train(
     from dataclasses import replace
 
     from esd.cli.progress import progress
-    from esd.common import InputError
     from esd.datasets.open import open_collection
     from esd.datasets.splits import split_by_subject
     from esd.learning.fit import fit
@@ -79,7 +78,7 @@ def train(
     chosen = chosen.excluding_subjects(whole.testing_subjects)
     held = None
     if validation and hold_out:
-        raise InputError("Give --validation or --hold-out, not both.")
+        raise typer.BadParameter("Give --validation or --hold-out, not both.")
     if validation:
         held = whole.including(validation)
         chosen = chosen.excluding_subjects(held.subjects)

@@ -101,7 +101,7 @@ def true_error(
     from esd.matching.correspondence import load_map
 
     if truth and points:
-        raise InputError("Give --truth or --points, not both.")
+        raise typer.BadParameter("Give --truth or --points, not both.")
     counts = {"source_count": len(source.vertices), "target_count": len(target.vertices)}
     if truth:
         known = load_map(truth, **counts).target_index
