@@ -215,6 +215,13 @@ def test_of_loose_pieces_the_largest_is_kept():
     assert components(repair(pair, all_pieces=True).shape).max() == 1
 
 
+def test_a_file_that_is_refused_is_named(tmp_path):
+    path = tmp_path / "bad.off"
+    path.write_text("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 7\n")
+    with pytest.raises(InputError, match=r"bad.off': `faces` must hold indices from 0 to 2"):
+        repair(path)
+
+
 def test_slivers_folds_and_few_vertices_are_told():
     flat = Mesh(SPHERE.vertices * [1, 1, 1e-4], SPHERE.faces)
     assert {"slivers", "folded_edges"} & set(found(flat))

@@ -144,8 +144,9 @@ def match_files(
         first = partial(_describe, places=places, model=model, everything=everything, coarse=coarse)
         failures = {}
         for described in outcomes(first, files, workers=workers, scheduler=scheduler):
-            if described.failure:
-                failures[described.job] = f"'{described.job}': {described.failure}"
+            said, name = described.failure, f"'{described.job}'"
+            if said:
+                failures[described.job] = said if name in said else f"{name}: {said}"
             on_step()
         sound = []
         for pair in pairs:

@@ -7,6 +7,7 @@ mesh come back for the original vertices.
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -184,12 +185,16 @@ def repair(
     if len(faces) == 0:
         return _repaired_points(vertices)
     finite = _is_finite(vertices)
+    named = f"'{source}': " if isinstance(source, str | os.PathLike) else ""
     if not everything:
-        Mesh(np.where(finite[:, None], vertices, 0.0), faces)  # refuses a damaged list of faces
+        try:
+            Mesh(np.where(finite[:, None], vertices, 0.0), faces)
+        except InputError as error:  # a damaged list of faces
+            raise InputError(f"{named}{error}") from error
     diagnosis = diagnose((vertices, faces), thorough=False)
     _, mesh = _sound(vertices, faces)
     if mesh is None or not surface_area(mesh) > 0:
-        raise InputError(f"Nothing of the mesh can be used: {diagnosis.in_a_line()}.")
+        raise InputError(f"{named}Nothing of the mesh can be used: {diagnosis.in_a_line()}.")
     done = {f.kind for f in diagnosis.findings if f.always_repaired or everything}
     if restore:
         done |= RESTORED & {f.kind for f in diagnosis.findings}
