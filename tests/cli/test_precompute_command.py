@@ -20,7 +20,7 @@ def test_a_store_is_made_trained_on_and_brought_up_to_date(shapes, tmp_path):
         (("-m", "hks"), "--preset or --model"),
         (("--scheduler", "tcp://x"), "--workers or --scheduler"),
     ):
-        assert message in run(*made, *wrong, expect=1).stderr
+        assert message in run(*made, *wrong, expect=2).stderr
     done = run("precompute", shapes, "-o", tmp_path / "s.zarr", expect=1)
     assert "stores are written to .h5" in done.stderr
 
