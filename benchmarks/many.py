@@ -12,12 +12,13 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 import tempfile
 import time
 from pathlib import Path
 
 import numpy as np
-from measure import ROOT, cost, row, table
+from measure import cost, row, table
 from scipy.spatial import KDTree
 
 from esd.datasets.open import open_collection
@@ -44,7 +45,7 @@ def write_shapes(folder: Path, count: int) -> None:
 
 
 def esd(*arguments: object):
-    return cost([str(ROOT / ".venv" / "bin" / "python"), "-m", "esd", *map(str, arguments)])
+    return cost([sys.executable, "-m", "esd", *map(str, arguments)])
 
 
 def steps_per_second(store: Path, folder: Path, steps: int) -> tuple[float, float]:

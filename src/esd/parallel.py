@@ -41,6 +41,11 @@ class Outcome(Generic[Job, Result]):
     result: Result | None = None
     failure: str | None = None
 
+    def told_of(self, name: object) -> str:
+        """The failure, with the name of what failed where it does not tell that itself."""
+        said = self.failure or ""
+        return said if f"'{name}'" in said else f"'{name}': {said}"
+
 
 def outcomes(
     function: Callable[[Job], Result],
@@ -105,10 +110,14 @@ def core_count() -> int:
     return os.cpu_count() or 1
 
 
-def thread_count() -> int:
+def blas_libraries() -> ThreadpoolController:
+    """The BLAS libraries of this process; to look for them takes a millisecond."""
+    return ThreadpoolController().select(user_api="blas")
+
+
+def thread_count(blas: ThreadpoolController) -> int:
     """Number of threads that computations here may take: no more than the BLAS library's own."""
-    libraries = ThreadpoolController().select(user_api="blas").info()
-    return min([core_count()] + [library["num_threads"] for library in libraries])
+    return min([core_count()] + [library["num_threads"] for library in blas.info()])
 
 
 def side_by_side(function: Callable[[Job], Result], jobs: Iterable[Job]) -> list[Result]:
@@ -117,10 +126,11 @@ def side_by_side(function: Callable[[Job], Result], jobs: Iterable[Job]) -> list
     Meanwhile the BLAS library is held to one thread: where most time goes into small products and
     sparse factors, two jobs in one thread each are done sooner than one after the other in two.
     """
-    count = thread_count()
+    blas = blas_libraries()
+    count = thread_count(blas)
     if count == 1:
         return [function(job) for job in jobs]
-    with threadpool_limits(1, user_api="blas"), ThreadPoolExecutor(count) as pool:
+    with blas.limit(limits=1), ThreadPoolExecutor(count) as pool:
         return list(pool.map(function, jobs))
 
 

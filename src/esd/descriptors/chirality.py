@@ -48,8 +48,8 @@ def gradient_products(
 
     ⟨n, ∇f × ∇g⟩ dA is the two-form df ∧ dg, whose integral over a triangle is half the determinant
     of the differences of f and g along two sides, whatever the lengths of the sides. ⟨∇f, ∇g⟩ of
-    slivers is not counted. Smoothing
-    before division, not after it, keeps noise small where a gradient vanishes.
+    slivers is not counted. Smoothing before division, not after it, keeps noise small where a
+    gradient vanishes.
 
     Parameters
     ----------

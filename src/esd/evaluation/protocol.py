@@ -172,9 +172,8 @@ def evaluate(
         first = partial(_embed, model=model, cache=cache)
         jobs = ((shape, places[name]) for name, shape in shapes.items())
         for described in outcomes(first, jobs, workers=workers, scheduler=scheduler):
-            said, name = described.failure, described.job[0].name
-            if said:
-                raise InputError(said if f"'{name}'" in said else f"'{name}': {said}")
+            if described.failure:
+                raise InputError(described.told_of(described.job[0].name))
             on_step()
         sources: dict[str, list[_Kept]] = {}
         for source, target in pairs:

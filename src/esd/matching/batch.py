@@ -144,9 +144,8 @@ def match_files(
         first = partial(_describe, places=places, model=model, everything=everything, coarse=coarse)
         failures = {}
         for described in outcomes(first, files, workers=workers, scheduler=scheduler):
-            said, name = described.failure, f"'{described.job}'"
-            if said:
-                failures[described.job] = said if name in said else f"{name}: {said}"
+            if described.failure:
+                failures[described.job] = described.told_of(described.job)
             on_step()
         sound = []
         for pair in pairs:

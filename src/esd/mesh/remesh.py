@@ -691,7 +691,7 @@ def _cosine(vertices: FloatArray, first: IntArray, second: IntArray) -> FloatArr
 
 def _walked(mesh: Mesh, points: npt.NDArray[Any], start: IntArray) -> IntArray:
     """Nearest vertex to each point that is reached by descending from a vertex, -1 from -1."""
-    pairs, _ = _edges_and_sides(mesh.faces, len(mesh.vertices))
+    pairs = edges(mesh)
     both = np.vstack([pairs, pairs[:, ::-1]])
     both = both[np.argsort(both[:, 0], kind="stable")]
     degree = np.bincount(both[:, 0], minlength=len(mesh.vertices))

@@ -22,10 +22,9 @@ import numpy as np
 from scipy import linalg, sparse
 from scipy.sparse import csgraph
 from scipy.sparse.linalg import eigsh
-from threadpoolctl import ThreadpoolController
 
 from esd.common import FloatArray, InputError
-from esd.parallel import thread_count
+from esd.parallel import blas_libraries, thread_count
 from esd.spectral.bounds import error_bound
 from esd.spectral.factorisation import Factorisation, UnstableError, factorise
 from esd.spectral.lanczos import BlockLanczos, Ritz, Run
@@ -342,9 +341,9 @@ def _eigsh(stiffness: SparseMatrix, mass: Mass, k: int, seed: int) -> Eigenpairs
 @contextmanager
 def _working_threads(threads: int | None) -> Iterator[Run]:
     """`map` over this many threads, while each call of the BLAS library stays within its own."""
-    libraries = ThreadpoolController().select(user_api="blas")
-    threads = thread_count() if threads is None else threads
-    with libraries.limit(limits=1):
+    blas = blas_libraries()
+    threads = thread_count(blas) if threads is None else threads
+    with blas.limit(limits=1):
         if threads == 1:
             yield map
             return
