@@ -201,3 +201,4 @@ def test_a_batch_of_pairs(shapes, tmp_path):
     assert len((tmp_path / "tr_reg_000-tr_reg_010.csv").read_text().splitlines()) == 385
     assert "--force" in run("match", "--batch", pairs, "-o", tmp_path, expect=1).stderr
     run("match", "--batch", pairs, "--view", expect=2)
+    run("match", "a.off", "b.off", "--scheduler", "tcp://x", expect=2)

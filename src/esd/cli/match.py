@@ -130,6 +130,8 @@ def match(
         loaded = load_model(model, device=device)
         _match_batch(batch, output, loaded, as_json=as_json, force=force, **options)
         return
+    if scheduler:
+        raise typer.BadParameter("--scheduler goes with --batch.")
     if source is None or target is None:
         raise typer.BadParameter("SOURCE and TARGET are needed, or --batch PAIRS.")
     start = time.perf_counter()
