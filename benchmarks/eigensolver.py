@@ -212,7 +212,7 @@ def meshes(options):
     if not options.mesh:
         yield from map(bumpy_torus, options.sizes)
         return
-    from esd.mesh.mesh import as_mesh
+    from esd.mesh.convert import as_mesh
     from esd.mesh.shapes import subdivide
 
     for times in options.subdivide:

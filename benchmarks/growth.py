@@ -23,9 +23,9 @@ from scipy.spatial import cKDTree
 
 from esd.datasets.open import open_collection
 from esd.evaluation.errors import geodesic_errors
-from esd.mesh.files import write_mesh
 from esd.mesh.geodesics import geodesic_graph
-from esd.mesh.mesh import surface_area
+from esd.mesh.geometry import surface_area
+from esd.mesh.io.meshes import write_mesh
 from esd.mesh.shapes import subdivide
 
 METHODS = {

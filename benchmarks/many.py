@@ -22,9 +22,9 @@ from measure import cost, row, table
 from scipy.spatial import KDTree
 
 from esd.datasets.open import open_collection
-from esd.mesh.files import write_mesh
+from esd.mesh.io.meshes import write_mesh
 from esd.mesh.mesh import Mesh
-from esd.mesh.remesh import remesh
+from esd.mesh.remesh.remesh import remesh
 
 VERTICES = 360
 FEW = 80

@@ -23,9 +23,9 @@ from measure import Cost, cost, esd_command, job, row, table
 from esd.datasets.open import open_collection
 from esd.evaluation.errors import geodesic_errors
 from esd.matching.correspondence import load_map
-from esd.mesh.files import write_mesh
 from esd.mesh.geodesics import geodesic_graph
-from esd.mesh.mesh import surface_area
+from esd.mesh.geometry import surface_area
+from esd.mesh.io.meshes import write_mesh
 
 METHODS = {
     "pyfm-300": "pyFM, 300 eigenpairs, ZoomOut to 300",

@@ -21,10 +21,10 @@ from measure import cost, job, row, table
 from esd.datasets.open import open_collection
 from esd.evaluation.errors import geodesic_errors
 from esd.learning.model import load_model
-from esd.matching.nearest import nearest
 from esd.matching.refine import zoomout
 from esd.mesh.geodesics import geodesic_graph
-from esd.mesh.mesh import surface_area
+from esd.mesh.geometry import surface_area
+from esd.nearest import nearest
 from esd.spectral.cache import default_cache
 from esd.spectral.spectrum import spectrum
 

@@ -36,12 +36,13 @@ from esd.evaluation.perturb import (
     short_circuits,
 )
 from esd.learning.model import Model, load_model
-from esd.matching.described import describe
+from esd.matching.features import describe
 from esd.matching.match import match_described
-from esd.mesh.doctor import repair
 from esd.mesh.geodesics import geodesic_diameter, geodesic_graph
-from esd.mesh.mesh import Mesh, edge_lengths, surface_area
-from esd.mesh.remesh import remesh
+from esd.mesh.geometry import edge_lengths, surface_area
+from esd.mesh.mesh import Mesh
+from esd.mesh.remesh.remesh import remesh
+from esd.mesh.repair.repair import repair
 from esd.mesh.shapes import icosphere, subdivide
 from esd.spectral.cache import default_cache
 

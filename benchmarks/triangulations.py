@@ -23,7 +23,7 @@ from esd.datasets.open import open_collection
 from esd.evaluation.protocol import evaluate
 from esd.learning.model import load_model
 from esd.mesh.mesh import Mesh
-from esd.mesh.remesh import remesh
+from esd.mesh.remesh.remesh import remesh
 from esd.mesh.shapes import subdivide
 from esd.spectral.cache import default_cache
 

@@ -11,7 +11,7 @@ from esd.evaluation.protocol import evaluate
 from esd.learning.model import load_model
 from esd.matching.correspondence import save_map
 from esd.matching.match import match
-from esd.mesh.files import write_mesh
+from esd.mesh.io.meshes import write_mesh
 from esd.spectral.cache import default_cache
 from esd.spectral.spectrum import spectrum
 from esd.viewing.figures import match_figure, save_figure

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from esd.datasets.collection import Collection, Shape
-from esd.mesh.files import write_mesh
+from esd.mesh.io.meshes import write_mesh
 from esd.mesh.mesh import Mesh
 from esd.mesh.shapes import icosphere, torus
 

@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from esd.common import InputError
-from esd.mesh.files import read_mesh
+from esd.mesh.io.meshes import read_mesh
 from hostile_files import HOSTILE, glb, gltf
 
 _MEMORY = 2 * 2**30
@@ -16,7 +16,7 @@ import json, resource, sys, time
 from pathlib import Path
 import numpy as np, scipy.spatial, trimesh, robust_laplacian
 from esd.common import InputError
-from esd.mesh.files import read_mesh
+from esd.mesh.io.meshes import read_mesh
 base = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 for path in sorted(Path(sys.argv[1]).iterdir()):
     start = time.perf_counter()

@@ -4,7 +4,7 @@ import sys
 import pytest
 
 import esd
-from esd.mesh.files import write_mesh
+from esd.mesh.io.meshes import write_mesh
 from esd.mesh.shapes import icosphere
 
 

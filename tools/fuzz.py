@@ -18,8 +18,8 @@ with atheris.instrument_imports(include=["esd", "trimesh.exchange"]):
     import numpy as np
 
     from esd.common import InputError
-    from esd.mesh.doctor import repair
-    from esd.mesh.files import FORMATS, POINT_FORMATS, read_arrays
+    from esd.mesh.io.meshes import FORMATS, POINT_FORMATS, read_arrays
+    from esd.mesh.repair.repair import repair
 
 _SUFFIXES = FORMATS + POINT_FORMATS
 _MEMORY = Path("/dev/shm")
@@ -44,7 +44,7 @@ def try_input(data: bytes) -> None:
 def _seeds(folder: Path) -> None:
     """Whole files of each kind to start from."""
     sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-    from esd.mesh.files import write_mesh
+    from esd.mesh.io.meshes import write_mesh
     from esd.mesh.shapes import icosphere
     from hostile_files import HOSTILE
 

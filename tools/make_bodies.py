@@ -34,8 +34,7 @@ from scipy.spatial.transform import Rotation
 from esd.common import whole_file
 from esd.datasets.bodies import PARTS
 from esd.datasets.body_pack import Pack, posed, read_pack, sampled, skinned, write_pack
-from esd.mesh.mesh import (
-    Mesh,
+from esd.mesh.geometry import (
     boundary_edges,
     components,
     edge_lengths,
@@ -43,6 +42,7 @@ from esd.mesh.mesh import (
     face_areas,
     surface_area,
 )
+from esd.mesh.mesh import Mesh
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt

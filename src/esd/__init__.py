@@ -19,13 +19,13 @@ if TYPE_CHECKING:
     from esd.matching.correspondence import load_map as load_map
     from esd.matching.correspondence import save_map as save_map
     from esd.matching.match import match as match
-    from esd.mesh.doctor import diagnose as diagnose
-    from esd.mesh.doctor import repair as repair
-    from esd.mesh.files import read_mesh as read_mesh
-    from esd.mesh.files import write_mesh as write_mesh
+    from esd.mesh.convert import as_mesh as as_mesh
+    from esd.mesh.convert import with_attributes as with_attributes
+    from esd.mesh.io.meshes import read_mesh as read_mesh
+    from esd.mesh.io.meshes import write_mesh as write_mesh
     from esd.mesh.mesh import Mesh as Mesh
-    from esd.mesh.mesh import as_mesh as as_mesh
-    from esd.mesh.mesh import with_attributes as with_attributes
+    from esd.mesh.repair.repair import diagnose as diagnose
+    from esd.mesh.repair.repair import repair as repair
     from esd.viewing.page import view as view
 
 __version__ = "0.1.0.dev0"
@@ -35,18 +35,18 @@ _HOMES = {
     "InputError": "esd.common",
     "Mesh": "esd.mesh.mesh",
     "Model": "esd.learning.model",
-    "as_mesh": "esd.mesh.mesh",
-    "diagnose": "esd.mesh.doctor",
+    "as_mesh": "esd.mesh.convert",
+    "diagnose": "esd.mesh.repair.repair",
     "load_map": "esd.matching.correspondence",
     "load_model": "esd.learning.model",
     "match": "esd.matching.match",
     "open_collection": "esd.datasets.open",
-    "read_mesh": "esd.mesh.files",
-    "repair": "esd.mesh.doctor",
+    "read_mesh": "esd.mesh.io.meshes",
+    "repair": "esd.mesh.repair.repair",
     "save_map": "esd.matching.correspondence",
     "view": "esd.viewing.page",
-    "with_attributes": "esd.mesh.mesh",
-    "write_mesh": "esd.mesh.files",
+    "with_attributes": "esd.mesh.convert",
+    "write_mesh": "esd.mesh.io.meshes",
 }
 
 __all__ = sorted([*_HOMES, "__version__"])

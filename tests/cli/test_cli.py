@@ -7,7 +7,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from esd.mesh.files import write_mesh
+from esd.mesh.io.meshes import write_mesh
 from esd.mesh.shapes import icosphere, torus
 
 

@@ -5,7 +5,7 @@ import sys
 import numpy as np
 
 from esd.matching.correspondence import load_map
-from esd.mesh.files import read_mesh, write_mesh
+from esd.mesh.io.meshes import read_mesh, write_mesh
 from esd.mesh.mesh import Mesh
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from esd.cli import main
 from esd.matching.correspondence import Correspondence, load_map, save_map
-from esd.mesh.files import read_mesh, write_mesh
+from esd.mesh.io.meshes import read_mesh, write_mesh
 from esd.mesh.mesh import Mesh
 from esd.mesh.shapes import subdivide, torus
 
@@ -103,7 +103,7 @@ def test_colours_and_texture_are_carried(run, pair):
     pytest.importorskip("PIL", reason="pillow is not installed")
     from PIL import Image
 
-    from esd.mesh.attributes import (
+    from esd.mesh.io.attributes import (
         Texture,
         read_texture,
         read_vertex_colours,

@@ -17,8 +17,7 @@ from esd.datasets.body_pack import posed, read_pack, sampled, skinned, write_pac
 from esd.datasets.collection import Collection, Shape
 from esd.datasets.export import export_folder, labels_on
 from esd.datasets.folder import folder_collection, read_vts
-from esd.mesh.mesh import (
-    Mesh,
+from esd.mesh.geometry import (
     boundary_edges,
     components,
     edges,
@@ -26,6 +25,7 @@ from esd.mesh.mesh import (
     is_consistently_oriented,
     signed_volume,
 )
+from esd.mesh.mesh import Mesh
 from esd.mesh.shapes import icosphere
 
 

@@ -5,7 +5,7 @@ from esd.common import InputError
 from esd.datasets.collection import Collection, read_pairs
 from esd.datasets.folder import folder_collection, read_vts
 from esd.datasets.splits import split_by_subject
-from esd.mesh.files import write_mesh
+from esd.mesh.io.meshes import write_mesh
 from esd.mesh.shapes import grid, torus
 
 

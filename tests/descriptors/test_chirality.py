@@ -5,7 +5,7 @@ from esd.common import InputError
 from esd.descriptors.chirality import gradient_products, neighbour_pairs
 from esd.descriptors.recipe import Descriptor, Recipe, descriptors, gradient_recipe
 from esd.mesh.mesh import Mesh
-from esd.mesh.remesh import remesh
+from esd.mesh.remesh.remesh import remesh
 from esd.mesh.shapes import grid, icosphere
 from esd.spectral.spectrum import spectrum
 

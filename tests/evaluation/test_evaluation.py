@@ -12,7 +12,8 @@ from esd.evaluation.protocol import evaluate
 from esd.learning.model import Model, load_model
 from esd.matching.match import match_embedded
 from esd.mesh.geodesics import geodesic_diameter, geodesic_graph
-from esd.mesh.mesh import Mesh, surface_area
+from esd.mesh.geometry import surface_area
+from esd.mesh.mesh import Mesh
 
 
 def test_errors_are_distances_from_either_side(blob):

@@ -10,8 +10,9 @@ from esd.evaluation.perturb import (
     plane_cut,
     short_circuits,
 )
-from esd.mesh.doctor import diagnose
-from esd.mesh.mesh import Mesh, edge_lengths, is_referenced, surface_area
+from esd.mesh.geometry import edge_lengths, is_referenced, surface_area
+from esd.mesh.mesh import Mesh
+from esd.mesh.repair.repair import diagnose
 from esd.mesh.shapes import icosphere
 
 SPHERE = icosphere(4)

@@ -25,7 +25,8 @@ from esd.experiments.report import Report, Table, write_report
 from esd.experiments.setting import Setting, fingerprint, provenance, shortened, trained
 from esd.learning.model import raw_model
 from esd.learning.presets import PRESETS
-from esd.mesh.mesh import Mesh, surface_area, vertex_areas
+from esd.mesh.geometry import surface_area, vertex_areas
+from esd.mesh.mesh import Mesh
 from esd.mesh.shapes import torus
 from esd.spectral.cache import Cache
 

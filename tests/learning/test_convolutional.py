@@ -4,12 +4,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from esd.baselines.acnn import AnisotropicPatches
-from esd.baselines.gcnn import GeodesicPatches
 from esd.common import InputError
 from esd.datasets.collection import Collection, Shape
 from esd.descriptors.recipe import Descriptor, Recipe, descriptors
 from esd.evaluation.protocol import evaluate
+from esd.learning.acnn import AnisotropicPatches
+from esd.learning.gcnn import GeodesicPatches
 from esd.learning.model import load_model, model_description, save_model
 from esd.learning.pairs import point_table
 from esd.learning.presets import PRESETS, Training

@@ -11,7 +11,7 @@ from esd.learning.model import Model
 from esd.matching.batch import match_files, read_pairs_of_files
 from esd.matching.correspondence import load_map
 from esd.matching.match import match
-from esd.mesh.files import write_mesh
+from esd.mesh.io.meshes import write_mesh
 from esd.mesh.mesh import Mesh
 
 MODEL = Model(

@@ -8,8 +8,8 @@ from esd.descriptors.hks import hks
 from esd.descriptors.recipe import Descriptor, Recipe, descriptors, gradient_recipe
 from esd.learning.model import Model
 from esd.matching.match import match
-from esd.mesh.doctor import repair
 from esd.mesh.mesh import Mesh, PointCloud
+from esd.mesh.repair.repair import repair
 from esd.mesh.shapes import icosphere
 from esd.spectral.spectrum import spectrum
 

@@ -8,8 +8,9 @@ from esd.matching.correspondence import Correspondence
 from esd.matching.dense import carried_to_dense
 from esd.matching.match import match
 from esd.matching.transfer import Places
-from esd.mesh.mesh import Mesh, edge_lengths, surface_area
-from esd.mesh.remesh import nearest_place
+from esd.mesh.geometry import edge_lengths, surface_area
+from esd.mesh.mesh import Mesh
+from esd.mesh.remesh.remesh import nearest_place
 from esd.mesh.shapes import grid, subdivide
 from esd.spectral.coarse import CoarseCopy, coarse_copy
 

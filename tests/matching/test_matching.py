@@ -7,8 +7,8 @@ from esd.common import InputError
 from esd.learning.model import load_model, raw_model
 from esd.matching.correspondence import Correspondence, load_map, save_map
 from esd.matching.match import match, match_embedded
-from esd.matching.nearest import nearest
 from esd.mesh.mesh import Mesh
+from esd.nearest import nearest
 
 
 @pytest.mark.parametrize("width", [3, 100])  # by tree, by products

@@ -14,7 +14,8 @@ from esd.matching.transfer import (
     in_between,
     vertex_places,
 )
-from esd.mesh.mesh import Mesh, vertex_areas
+from esd.mesh.geometry import vertex_areas
+from esd.mesh.mesh import Mesh
 from esd.mesh.shapes import grid, icosphere, subdivide
 
 

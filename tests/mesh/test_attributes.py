@@ -8,7 +8,8 @@ import pytest
 import trimesh
 
 from esd.common import InputError
-from esd.mesh.attributes import (
+from esd.mesh.convert import as_mesh, with_attributes
+from esd.mesh.io.attributes import (
     Texture,
     read_texture,
     read_vertex_colours,
@@ -16,8 +17,7 @@ from esd.mesh.attributes import (
     write_textured,
     write_with_attributes,
 )
-from esd.mesh.files import read_mesh, write_mesh
-from esd.mesh.mesh import as_mesh, with_attributes
+from esd.mesh.io.meshes import read_mesh, write_mesh
 from esd.mesh.shapes import grid, torus
 
 Image = pytest.importorskip("PIL.Image", reason="pillow is not installed")

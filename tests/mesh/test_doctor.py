@@ -7,10 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from esd.common import InputError
-from esd.mesh.doctor import diagnose, repair
-from esd.mesh.mesh import (
-    Mesh,
-    PointCloud,
+from esd.mesh.geometry import (
     boundary_edges,
     components,
     is_consistently_oriented,
@@ -18,6 +15,8 @@ from esd.mesh.mesh import (
     signed_volume,
     surface_area,
 )
+from esd.mesh.mesh import Mesh, PointCloud
+from esd.mesh.repair.repair import diagnose, repair
 from esd.mesh.shapes import grid, icosphere, torus
 
 SPHERE = icosphere(3)

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from esd.common import InputError
-from esd.mesh.fields import (
+from esd.mesh.io.fields import (
     Landmarks,
     read_labels,
     read_landmarks,

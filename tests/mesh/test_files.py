@@ -2,8 +2,9 @@ import numpy as np
 import pytest
 
 from esd.common import InputError
-from esd.mesh.files import read_arrays, read_mesh, write_mesh
-from esd.mesh.mesh import Mesh, surface_area
+from esd.mesh.geometry import surface_area
+from esd.mesh.io.meshes import read_arrays, read_mesh, write_mesh
+from esd.mesh.mesh import Mesh
 from esd.mesh.shapes import torus
 
 

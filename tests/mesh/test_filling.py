@@ -1,7 +1,8 @@
 import numpy as np
 
-from esd.mesh.filling import holes_filled
-from esd.mesh.mesh import Mesh, boundary_edges, is_consistently_oriented, signed_volume
+from esd.mesh.geometry import boundary_edges, is_consistently_oriented, signed_volume
+from esd.mesh.mesh import Mesh
+from esd.mesh.repair.filling import holes_filled
 from esd.mesh.shapes import grid, icosphere
 
 SPHERE = icosphere(4)

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from esd.common import InputError
-from esd.mesh import mesh as m
-from esd.mesh.mesh import Mesh, as_mesh
+from esd.mesh import geometry as m
+from esd.mesh.convert import as_mesh
+from esd.mesh.mesh import Mesh
 from esd.mesh.shapes import grid, icosphere, subdivide, torus
 
 TRIANGLE = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])

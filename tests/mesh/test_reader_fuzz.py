@@ -4,7 +4,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from esd.common import InputError
-from esd.mesh.files import read_arrays, write_mesh
+from esd.mesh.io.meshes import read_arrays, write_mesh
 from esd.mesh.shapes import icosphere
 
 FAST = settings(

@@ -3,8 +3,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from esd.common import InputError
-from esd.mesh.mesh import (
-    Mesh,
+from esd.mesh.geometry import (
     boundary_edges,
     components,
     edge_lengths,
@@ -15,7 +14,8 @@ from esd.mesh.mesh import (
     signed_volume,
     surface_area,
 )
-from esd.mesh.remesh import (
+from esd.mesh.mesh import Mesh
+from esd.mesh.remesh.remesh import (
     STYLES,
     Style,
     barycentric_coordinates,
@@ -229,6 +229,6 @@ def test_bad_input_is_named():
 
 
 def test_giving_up_says_what_to_do(monkeypatch):
-    monkeypatch.setattr("esd.mesh.remesh.REPAIRS", 0)
+    monkeypatch.setattr("esd.mesh.remesh.remesh.REPAIRS", 0)
     with pytest.raises(InputError, match=r"about 20 vertices; ask for more"):
         remesh(icosphere(2), 20, seed=0)

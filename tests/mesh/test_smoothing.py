@@ -1,10 +1,11 @@
 import numpy as np
 
 from esd.evaluation.perturb import geometric_noise
-from esd.mesh.doctor import repair
-from esd.mesh.mesh import Mesh, surface_area
+from esd.mesh.geometry import surface_area
+from esd.mesh.mesh import Mesh
+from esd.mesh.repair.repair import repair
+from esd.mesh.repair.smoothing import smoothed
 from esd.mesh.shapes import grid, icosphere
-from esd.mesh.smoothing import smoothed
 
 SPHERE = icosphere(4)
 

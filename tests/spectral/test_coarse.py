@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from esd.common import InputError
-from esd.mesh.mesh import Mesh, PointCloud, surface_area
+from esd.mesh.geometry import surface_area
+from esd.mesh.mesh import Mesh, PointCloud
 from esd.mesh.shapes import icosphere
 from esd.spectral.cache import Cache
 from esd.spectral.coarse import coarse_copy, coarse_spectrum

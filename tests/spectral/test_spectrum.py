@@ -3,7 +3,8 @@ import pytest
 from scipy import sparse
 
 from esd.common import InputError
-from esd.mesh.mesh import Mesh, surface_area
+from esd.mesh.geometry import surface_area
+from esd.mesh.mesh import Mesh
 from esd.mesh.shapes import grid, icosphere
 from esd.spectral.cache import Cache, content_key, default_cache
 from esd.spectral.laplacian import consistent_mass, cotangents, laplacian, lumped_mass, stiffness

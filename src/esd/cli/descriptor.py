@@ -32,7 +32,7 @@ def descriptor(
     """
     from esd.descriptors.files import check_descriptor_path, save_descriptor
     from esd.descriptors.recipe import descriptors, single_recipe
-    from esd.mesh.doctor import repair
+    from esd.mesh.repair.repair import repair
     from esd.spectral.cache import default_cache
 
     path = free_path(check_descriptor_path(output or Path(f"{mesh.stem}-{kind}.npz")), force=force)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from esd.mesh.doctor import Repaired
+    from esd.mesh.repair.repair import Repaired
 
 
 def doctor(
@@ -27,10 +27,11 @@ def doctor(
 ) -> None:
     """Tell what is wrong with MESH, how bad it is, what it does to results, what can be done."""
     from esd.common import InputError
-    from esd.mesh.doctor import can_find_self_intersections, diagnose
-    from esd.mesh.doctor import repair as repaired
-    from esd.mesh.files import write_mesh
-    from esd.mesh.mesh import Mesh, as_arrays
+    from esd.mesh.convert import as_arrays
+    from esd.mesh.io.meshes import write_mesh
+    from esd.mesh.mesh import Mesh
+    from esd.mesh.repair.repair import can_find_self_intersections, diagnose
+    from esd.mesh.repair.repair import repair as repaired
 
     arrays = as_arrays(mesh)
     diagnosis = diagnose(arrays)

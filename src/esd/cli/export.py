@@ -40,8 +40,8 @@ def export(
     PLY opens in MeshLab and Blender, VTP in ParaView.
     """
     from esd.matching.correspondence import load_map, save_map
-    from esd.mesh.attributes import ATTRIBUTE_FORMATS, write_with_attributes
-    from esd.mesh.mesh import as_mesh
+    from esd.mesh.convert import as_mesh
+    from esd.mesh.io.attributes import ATTRIBUTE_FORMATS, write_with_attributes
 
     free_path(output, force=force)
     source_mesh, target_mesh = as_mesh(source), as_mesh(target)

@@ -116,8 +116,8 @@ def match(
     from esd.learning.model import load_model
     from esd.matching.correspondence import check_map_path, save_map
     from esd.matching.match import match as match_meshes
-    from esd.mesh.doctor import repair as repaired
-    from esd.mesh.doctor import usable_part
+    from esd.mesh.repair.repair import repair as repaired
+    from esd.mesh.repair.repair import usable_part
 
     if batch is not None:
         if source or view:

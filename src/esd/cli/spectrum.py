@@ -46,7 +46,7 @@ def spectrum(
     MESH may be broken, or points alone: see esd doctor. All of its pieces take part; vertices that
     were left out have zeros.
     """
-    from esd.mesh.doctor import repair
+    from esd.mesh.repair.repair import repair
     from esd.spectral.cache import default_cache
     from esd.spectral.coarse import coarse_spectrum
     from esd.spectral.spectrum import check_spectrum_path, save_spectrum

@@ -64,7 +64,7 @@ def transfer(
     """
     from esd.common import InputError
     from esd.matching.correspondence import load_map
-    from esd.mesh.mesh import as_mesh
+    from esd.mesh.convert import as_mesh
 
     wanted = {
         "texture": texture,
@@ -105,7 +105,7 @@ def _transfer_landmarks(
     from dataclasses import replace
 
     from esd.matching.transfer import carried_landmarks
-    from esd.mesh.fields import read_landmarks, write_landmarks
+    from esd.mesh.io.fields import read_landmarks, write_landmarks
 
     landmarks = read_landmarks(file, meshes[0])
     carried = replace(landmarks, vertices=carried_landmarks(landmarks.vertices, match))
@@ -116,7 +116,7 @@ def _write_morph(
     meshes: tuple[Mesh, Mesh], match: Correspondence, folder: Path, count: int
 ) -> None:
     from esd.matching.transfer import in_between
-    from esd.mesh.files import write_mesh
+    from esd.mesh.io.meshes import write_mesh
 
     shapes = in_between(*meshes, match, count=count)
     folder.mkdir(exist_ok=True)
@@ -130,7 +130,7 @@ def _transfer_texture(
     from dataclasses import replace
 
     from esd.matching.transfer import carried_texture
-    from esd.mesh.attributes import read_texture, write_textured
+    from esd.mesh.io.attributes import read_texture, write_textured
 
     texture = read_texture(source)
     coordinates = carried_texture(texture.coordinates, *meshes, match)
@@ -149,8 +149,8 @@ def _transfer_fields(
     import numpy as np
 
     from esd.matching import transfer as along
-    from esd.mesh.attributes import read_vertex_colours, write_coloured
-    from esd.mesh.fields import read_labels, read_values, write_labels, write_values
+    from esd.mesh.io.attributes import read_vertex_colours, write_coloured
+    from esd.mesh.io.fields import read_labels, read_values, write_labels, write_values
 
     source_mesh, target_mesh = meshes
     if labels:

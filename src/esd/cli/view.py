@@ -53,7 +53,7 @@ def view(
     The page needs no network. Point at a shape to see the match; press ? for its keys.
     """
     from esd.matching.correspondence import load_map
-    from esd.mesh.doctor import usable_part
+    from esd.mesh.repair.repair import usable_part
     from esd.viewing.page import check_page_path
 
     path = free_path(output or Path(f"{source.stem}-{target.stem}.html"), force=force)

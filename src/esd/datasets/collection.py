@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from esd.common import InputError, IntArray
-from esd.mesh.doctor import Repaired, repair
 from esd.mesh.mesh import Mesh
+from esd.mesh.repair.repair import Repaired, repair
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from esd.common import InputError, IntArray, whole_file
 from esd.datasets.collection import Collection, Shape
-from esd.mesh.files import FORMATS, write_mesh
+from esd.mesh.io.meshes import FORMATS, write_mesh
 
 
 def export_folder(
@@ -33,7 +33,7 @@ def export_folder(
     Parameters
     ----------
     suffix : str
-        Format of the meshes, one of `esd.mesh.files.FORMATS`.
+        Format of the meshes, one of `esd.mesh.io.meshes.FORMATS`.
     part_names
         Names of the parts, in the order of their labels.
     part_labels : (p,), optional

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from esd.common import InputError, IntArray
 from esd.datasets.collection import Collection, Shape
-from esd.mesh.files import FORMATS, read_mesh
+from esd.mesh.io.meshes import FORMATS, read_mesh
 from esd.mesh.mesh import Mesh
 from esd.spectral.cache import content_key
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from esd.common import FloatArray, InputError, whole_file
-from esd.mesh.fields import write_values
+from esd.mesh.io.fields import write_values
 
 _SUFFIXES = (".npy", ".npz", ".h5", ".csv")
 

@@ -21,7 +21,7 @@ def geometry_vector(
     ----------
     largest
         In units of 1 / area. Vectors compare only if they share it. The authors take the 99th
-        percentile of the eigenvalues of all training shapes, as `esd.baselines.osd.with_knots`
+        percentile of the eigenvalues of all training shapes, as `esd.learning.osd.with_knots`
         does. By default 99 % of what Weyl's law gives for the last eigenvalue, 4π k / area, which
         needs no training shapes.
 

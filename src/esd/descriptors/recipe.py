@@ -15,7 +15,8 @@ from esd.descriptors.gps import gps
 from esd.descriptors.hks import hks
 from esd.descriptors.sihks import sihks
 from esd.descriptors.wks import wks
-from esd.mesh.mesh import Mesh, PointCloud, surface_area
+from esd.mesh.geometry import surface_area
+from esd.mesh.mesh import Mesh, PointCloud
 from esd.mesh.topology import turned_outward
 from esd.spectral.cache import Cache
 from esd.spectral.laplacian import LaplacianKind

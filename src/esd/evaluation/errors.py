@@ -6,7 +6,8 @@ import numpy as np
 
 from esd.common import FloatArray, InputError, IntArray
 from esd.mesh.geodesics import EdgeGraph, geodesic_graph
-from esd.mesh.mesh import Mesh, surface_area
+from esd.mesh.geometry import surface_area
+from esd.mesh.mesh import Mesh
 
 _CHUNK = 256
 

@@ -10,8 +10,7 @@ from scipy.spatial.distance import cdist
 
 from esd.common import FloatArray, InputError, IntArray
 from esd.mesh.geodesics import geodesic_graph
-from esd.mesh.mesh import (
-    Mesh,
+from esd.mesh.geometry import (
     edge_lengths,
     edges,
     face_areas,
@@ -19,6 +18,7 @@ from esd.mesh.mesh import (
     surface_area,
     vertex_normals,
 )
+from esd.mesh.mesh import Mesh
 from esd.mesh.topology import compacted, is_collapsed, is_repeated, largest_piece, sides_of
 
 _HOLES = 10

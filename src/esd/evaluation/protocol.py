@@ -14,11 +14,12 @@ from esd.common import FloatArray, InputError, IntArray
 from esd.datasets.collection import Shape, mended
 from esd.evaluation.errors import area_under_curve, geodesic_errors
 from esd.learning.model import Model
-from esd.matching.described import describe, keep, kept
+from esd.matching.features import describe, keep, kept
 from esd.matching.match import match_embedded
-from esd.mesh.doctor import RESTORED, repair
 from esd.mesh.geodesics import geodesic_diameter, geodesic_graph
-from esd.mesh.mesh import Mesh, surface_area
+from esd.mesh.geometry import surface_area
+from esd.mesh.mesh import Mesh
+from esd.mesh.repair.repair import RESTORED, repair
 from esd.parallel import outcomes, shared_folder
 from esd.spectral.cache import Cache
 from esd.spectral.spectrum import Spectrum

@@ -13,9 +13,9 @@ from esd.evaluation.errors import geodesic_errors
 from esd.experiments.report import Table
 from esd.experiments.setting import Setting
 from esd.learning.model import Model
-from esd.matching.nearest import nearest
 from esd.mesh.geodesics import geodesic_diameter, geodesic_graph
-from esd.mesh.mesh import vertex_areas
+from esd.mesh.geometry import vertex_areas
+from esd.nearest import nearest
 from esd.spectral.cache import Arrays, content_key
 
 NEAR = 0.05  # of the geodesic diameter of the target: beyond it a match is wrong

@@ -20,11 +20,11 @@ from esd.experiments.report import Report, Table
 from esd.experiments.setting import Setting, fingerprint
 from esd.learning.model import Model, load_model
 from esd.matching.correspondence import Correspondence
-from esd.matching.described import Described, describe
+from esd.matching.features import Described, describe
 from esd.matching.match import match_described
-from esd.mesh.doctor import repair
 from esd.mesh.geodesics import geodesic_diameter, geodesic_graph
 from esd.mesh.mesh import Mesh
+from esd.mesh.repair.repair import repair
 from esd.spectral.cache import Arrays, Cache, content_key
 
 MODELS = {"HKS": "hks", "EHKS": "paper-hks", "default": "default"}

@@ -22,9 +22,10 @@ from esd.experiments.report import Report, Table
 from esd.experiments.setting import Setting, fingerprint, shortened, trained
 from esd.learning.model import Model, raw_model
 from esd.learning.presets import PRESETS, Training
-from esd.matching.nearest import nearest
 from esd.mesh.geodesics import geodesic_diameter, geodesic_graph
-from esd.mesh.mesh import Mesh, surface_area, vertex_areas
+from esd.mesh.geometry import surface_area, vertex_areas
+from esd.mesh.mesh import Mesh
+from esd.nearest import nearest
 from esd.spectral.cache import Arrays, content_key
 
 RADII = np.linspace(0, 0.2, 81)

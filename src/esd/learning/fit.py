@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from esd.baselines.osd import optimal_metric, with_knots
 from esd.common import FloatArray
 from esd.datasets.collection import Collection
 from esd.learning.model import Layer, Model
+from esd.learning.osd import optimal_metric, with_knots
 from esd.learning.pairs import PointTable, draw_pairs, point_table, standardisation, stored_table
 from esd.learning.presets import Training
 from esd.spectral.cache import Cache

@@ -16,8 +16,6 @@ import numpy.typing as npt
 from safetensors import SafetensorError
 from safetensors.numpy import load_file, save
 
-from esd.baselines.gcnn import GeodesicPatches
-from esd.baselines.patches import Patches, convolution, patch_operator, patches_from_json
 from esd.common import FloatArray, InputError
 from esd.descriptors.recipe import (
     DESCRIPTOR_KINDS,
@@ -27,6 +25,8 @@ from esd.descriptors.recipe import (
     spectrum_descriptors,
 )
 from esd.learning.device import usable_device
+from esd.learning.gcnn import GeodesicPatches
+from esd.learning.patches import Patches, convolution, patch_operator, patches_from_json
 from esd.mesh.mesh import Mesh, PointCloud
 from esd.spectral.cache import Cache
 from esd.spectral.laplacian import SparseMatrix
@@ -48,7 +48,7 @@ class Layer:
     ----------
     weight
         (outputs, inputs), or of a convolution (outputs, bins, bins, inputs), see
-        `esd.baselines.patches.convolution`.
+        `esd.learning.patches.convolution`.
     bias : (outputs,)
     """
 

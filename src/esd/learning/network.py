@@ -10,15 +10,15 @@ import numpy as np
 import torch
 from torch import nn
 
-from esd.baselines.gcnn import GeodesicPatches
-from esd.baselines.patches import Patches
 from esd.common import FloatArray, IntArray
+from esd.learning.gcnn import GeodesicPatches
 from esd.learning.model import Model
+from esd.learning.patches import Patches
 from esd.spectral.laplacian import SparseMatrix
 
 
 class Convolution(nn.Module):  # type: ignore[misc] # torch is untyped here
-    """Filters over the patches of vertices, as `esd.baselines.patches.convolution` applies them."""
+    """Filters over the patches of vertices, as `esd.learning.patches.convolution` applies them."""
 
     def __init__(self, inputs: int, outputs: int, patches: Patches) -> None:
         super().__init__()
@@ -58,7 +58,7 @@ def convolved(
     values : (n, width)
         Descriptors of all its vertices.
     operator : (n · bins, n)
-        See `esd.baselines.patches.patch_operator`.
+        See `esd.learning.patches.patch_operator`.
     """
     bins = operator.shape[0] // operator.shape[1]
     last = max(i for i, layer in enumerate(network) if isinstance(layer, Convolution))

@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from esd.baselines.patches import Patches, patch_operator
 from esd.common import FloatArray, InputError, IntArray
 from esd.datasets.collection import Collection, mended
 from esd.datasets.remeshing import copy_name
 from esd.datasets.store import open_store
 from esd.descriptors.recipe import Recipe, descriptors
 from esd.learning.model import standardised
+from esd.learning.patches import Patches, patch_operator
 from esd.mesh.mesh import Mesh
 from esd.spectral.cache import Cache
 from esd.spectral.laplacian import SparseMatrix
@@ -51,7 +51,7 @@ class PointTable:
         Of a table in a store, whose `values` and `rows` are read from the file when they are used:
         what is not.
     operators : for each shape (vertices · bins, vertices)
-        Of `esd.baselines.patches.patch_operator`; none where nothing is convolved.
+        Of `esd.learning.patches.patch_operator`; none where nothing is convolved.
     """
 
     values: npt.NDArray[np.float32]
@@ -104,7 +104,7 @@ class WholeShape:
     values : (n, width) float32
         Descriptors of all its vertices.
     operator : (n · bins, n)
-        See `esd.baselines.patches.patch_operator`.
+        See `esd.learning.patches.patch_operator`.
     vertices : (b,)
         Those that are asked for.
     """

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from esd.baselines.acnn import AnisotropicPatches
-from esd.baselines.gcnn import GeodesicPatches
-from esd.baselines.patches import Patches
 from esd.common import InputError
 from esd.descriptors.recipe import Descriptor, Recipe, gradient_recipe, single_recipe
+from esd.learning.acnn import AnisotropicPatches
+from esd.learning.gcnn import GeodesicPatches
+from esd.learning.patches import Patches
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +33,7 @@ class Training:
         that the embedding does not depend on a few.
     loss
         `contrastive`, the paper's, or `infonce`, of embeddings of unit length; or `osd`, which
-        stands for a linear map in closed form, see `esd.baselines.osd`.
+        stands for a linear map in closed form, see `esd.learning.osd`.
     margin, soft_label
         Of the contrastive loss: C, in squared units of the embedding, and the largest label of a
         pair that does not correspond.

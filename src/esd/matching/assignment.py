@@ -7,7 +7,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 
 from esd.common import FloatArray, InputError, IntArray
-from esd.matching.nearest import nearest_candidates
+from esd.nearest import nearest_candidates
 
 
 def one_to_one(source: FloatArray, target: FloatArray, *, candidates: int = 30) -> IntArray:

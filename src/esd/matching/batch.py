@@ -14,9 +14,9 @@ import numpy as np
 from esd.common import InputError
 from esd.learning.model import Model
 from esd.matching.correspondence import check_map_path, save_map
-from esd.matching.described import describe, keep, kept
+from esd.matching.features import describe, keep, kept
 from esd.matching.match import check_copies, match_described
-from esd.mesh.doctor import repair
+from esd.mesh.repair.repair import repair
 from esd.parallel import outcomes, shared_folder
 from esd.spectral.cache import default_cache
 

@@ -9,8 +9,7 @@ import numpy as np
 from scipy import sparse
 
 from esd.common import BoolArray, FloatArray, IntArray
-from esd.mesh.mesh import (
-    Mesh,
+from esd.mesh.geometry import (
     adjacency,
     edges,
     face_areas,
@@ -18,6 +17,7 @@ from esd.mesh.mesh import (
     surface_area,
     vertex_normals,
 )
+from esd.mesh.mesh import Mesh
 
 Verdict: TypeAlias = Literal["good", "doubtful", "failed", "mirrored"]
 

@@ -10,7 +10,7 @@ from scipy.spatial import KDTree
 from esd.common import FloatArray
 from esd.matching.correspondence import Correspondence
 from esd.matching.transfer import Places, carried_values
-from esd.mesh.mesh import surface_area, vertex_normals
+from esd.mesh.geometry import surface_area, vertex_normals
 from esd.spectral.coarse import CoarseCopy
 
 _TORN = 5.0  # times its own size, beyond which the image of a face lies across a tear of the map

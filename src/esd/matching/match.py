@@ -15,11 +15,13 @@ from esd.learning.model import Model, load_model
 from esd.matching.assignment import one_to_one as assignment
 from esd.matching.confidence import confidence, judgement
 from esd.matching.correspondence import Correspondence
-from esd.matching.described import Described, describe
-from esd.matching.nearest import nearest
+from esd.matching.features import Described, describe
 from esd.matching.refine import SIZES, joint_rows, mean_squared_distance, zoomout
-from esd.mesh.doctor import Repaired, repair
-from esd.mesh.mesh import Mesh, MeshLike, PointCloud, is_referenced
+from esd.mesh.convert import MeshLike
+from esd.mesh.geometry import is_referenced
+from esd.mesh.mesh import Mesh, PointCloud
+from esd.mesh.repair.repair import Repaired, repair
+from esd.nearest import nearest
 from esd.parallel import side_by_side
 from esd.spectral.cache import Cache, default_cache
 from esd.spectral.spectrum import Spectrum
@@ -52,8 +54,8 @@ def match(
     source, target
         Meshes, or whatever `as_mesh` takes, or points without faces. What is wrong with them is
         logged in one line, and what can be mended without harm is, small holes and noise included,
-        see `esd.mesh.doctor`. The map is that of the original vertices; those left out have no
-        match.
+        see `esd.mesh.repair.repair`. The map is that of the original vertices; those left out have
+        no match.
     model
         A `Model`, or what `load_model` takes.
     refine

@@ -8,7 +8,7 @@ import numpy as np
 
 from esd.common import FloatArray, InputError, IntArray
 from esd.matching.functional_map import functional_map, spectral_rows
-from esd.matching.nearest import nearest
+from esd.nearest import nearest
 from esd.spectral.spectrum import Spectrum
 
 SIZES = (30, 60, 100, 160, 230, 300)

@@ -14,7 +14,8 @@ from trimesh import triangles as trimesh_triangles
 from esd.common import FloatArray, InputError, IntArray
 from esd.matching.correspondence import Correspondence
 from esd.mesh.geodesics import geodesic_graph
-from esd.mesh.mesh import Mesh, edge_lengths, is_referenced, surface_area, vertex_areas
+from esd.mesh.geometry import edge_lengths, is_referenced, surface_area, vertex_areas
+from esd.mesh.mesh import Mesh
 
 Method = Literal["barycentric", "nearest"]
 

@@ -10,7 +10,8 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from esd.common import FloatArray, InputError, IntArray
-from esd.mesh.mesh import Mesh, edges, is_referenced
+from esd.mesh.geometry import edges, is_referenced
+from esd.mesh.mesh import Mesh
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,7 +6,8 @@ import numpy as np
 
 from esd.common import InputError, IntArray
 from esd.mesh.geodesics import EdgeGraph, geodesic_graph
-from esd.mesh.mesh import Mesh, is_referenced, vertex_areas
+from esd.mesh.geometry import is_referenced, vertex_areas
+from esd.mesh.mesh import Mesh
 
 
 def sample_by_area(mesh: Mesh, count: int, *, seed: int = 0) -> IntArray:

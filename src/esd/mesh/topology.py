@@ -9,13 +9,8 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from esd.common import BoolArray, FloatArray, InputError, IntArray
-from esd.mesh.mesh import (
-    Mesh,
-    components,
-    edge_lengths,
-    face_areas,
-    is_referenced,
-)
+from esd.mesh.geometry import components, edge_lengths, face_areas, is_referenced
+from esd.mesh.mesh import Mesh
 
 SLIVER = 0.02
 """`quality` below which a face is a sliver: with an angle of about a degree."""

@@ -8,7 +8,8 @@ import numpy as np
 from scipy import linalg
 
 from esd.common import FloatArray, InputError, IntArray
-from esd.mesh.mesh import Mesh, PointCloud, is_referenced
+from esd.mesh.geometry import is_referenced
+from esd.mesh.mesh import Mesh, PointCloud
 from esd.spectral.cache import Arrays, Cache, content_key
 from esd.spectral.laplacian import LaplacianKind, lumped_mass
 from esd.spectral.spectrum import Spectrum, spectrum
@@ -63,7 +64,7 @@ def coarse_copy(
         If there are only points, the mesh is no oriented manifold, or the number is too small to
         follow its surface.
     """
-    from esd.mesh.remesh import nearest_place, remesh  # slow to import: it searches in trees
+    from esd.mesh.remesh.remesh import nearest_place, remesh  # slow to import: it searches in trees
 
     if isinstance(mesh, PointCloud):
         raise InputError("Points without faces have no coarse copy; leave them as they are.")

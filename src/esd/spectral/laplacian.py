@@ -8,7 +8,8 @@ import numpy as np
 from scipy import sparse
 
 from esd.common import FloatArray, InputError
-from esd.mesh.mesh import Mesh, PointCloud, edge_lengths, is_referenced, vertex_areas
+from esd.mesh.geometry import edge_lengths, is_referenced, vertex_areas
+from esd.mesh.mesh import Mesh, PointCloud
 
 SparseMatrix: TypeAlias = Any
 """A `scipy.sparse` array in compressed columns."""

@@ -12,7 +12,8 @@ import numpy as np
 from scipy.sparse import csgraph
 
 from esd.common import BoolArray, FloatArray, InputError, IntArray, whole_file
-from esd.mesh.mesh import Mesh, PointCloud, components, is_referenced, surface_area
+from esd.mesh.geometry import components, is_referenced, surface_area
+from esd.mesh.mesh import Mesh, PointCloud
 from esd.spectral.cache import Arrays, Cache, content_key
 from esd.spectral.eigensolver import eigenpairs
 from esd.spectral.laplacian import LaplacianKind, SparseMatrix, laplacian

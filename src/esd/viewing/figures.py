@@ -18,7 +18,8 @@ from esd.common import FloatArray, InputError, whole_file
 from esd.evaluation.errors import area_under_curve, cumulative_curve
 from esd.evaluation.protocol import PairErrors
 from esd.matching.correspondence import Correspondence
-from esd.mesh.mesh import Mesh, face_normals
+from esd.mesh.geometry import face_normals
+from esd.mesh.mesh import Mesh
 from esd.viewing.colours import UNMATCHED, carried_colours, position_colours
 
 _LIGHT = np.array([-0.4, 0.3, 0.85])

@@ -16,7 +16,9 @@ import numpy.typing as npt
 from esd.common import FloatArray, InputError, IntArray, whole_file
 from esd.matching.correspondence import Correspondence
 from esd.matching.transfer import aligned_image
-from esd.mesh.mesh import Mesh, MeshLike, as_mesh, is_referenced, surface_area
+from esd.mesh.convert import MeshLike, as_mesh
+from esd.mesh.geometry import is_referenced, surface_area
+from esd.mesh.mesh import Mesh
 from esd.viewing.colours import UNMATCHED, VIRIDIS, position_colours
 
 _LINES = 300

@@ -9,7 +9,8 @@ import numpy as np
 from scipy import sparse
 
 from esd.common import FloatArray, IntArray
-from esd.mesh.mesh import Mesh, face_areas, face_normals, surface_area, vertex_areas, vertex_normals
+from esd.mesh.geometry import face_areas, face_normals, surface_area, vertex_areas, vertex_normals
+from esd.mesh.mesh import Mesh
 from esd.spectral.laplacian import SparseMatrix, lumped_mass
 
 _SMOOTHINGS = 2  # of the curvature, over the faces at each vertex

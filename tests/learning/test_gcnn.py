@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from esd.baselines.gcnn import GeodesicPatches, geodesic_patches
-from esd.baselines.patches import convolution, patch_operator, patches_from_json
 from esd.common import InputError
+from esd.learning.gcnn import GeodesicPatches, geodesic_patches
+from esd.learning.patches import convolution, patch_operator, patches_from_json
 from esd.mesh.mesh import Mesh, PointCloud
 from esd.mesh.shapes import grid, icosphere
 from esd.spectral.cache import Cache

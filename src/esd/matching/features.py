@@ -10,8 +10,8 @@ import numpy as np
 from esd.common import BoolArray, FloatArray, IntArray
 from esd.descriptors.recipe import recipe_spectrum
 from esd.learning.model import Model
-from esd.mesh.doctor import Repaired
 from esd.mesh.mesh import Mesh, PointCloud
+from esd.mesh.repair.repair import Repaired
 from esd.spectral.cache import Cache
 from esd.spectral.coarse import CoarseCopy, coarse_copy
 from esd.spectral.spectrum import Spectrum
@@ -33,7 +33,7 @@ class Described:
         Whether its faces were all turned outward by the repair.
     vertex_index, original_index : (n,) and (r,)
         The vertex of the shape of each of the n original ones, and back, see
-        `esd.mesh.doctor.Repaired`. Where the shape is a coarse copy: of the repaired mesh.
+        `esd.mesh.repair.repair.Repaired`. Where the shape is a coarse copy: of the repaired mesh.
     filling
         How many of the last vertices of the repaired mesh fill holes.
     copy

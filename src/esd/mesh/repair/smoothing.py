@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from esd.mesh.mesh import Mesh, adjacency, edges
+from esd.mesh.geometry import adjacency, edges
+from esd.mesh.mesh import Mesh
 
 _ROUNDS = 10
 _FORTH, _BACK = 0.5, 0.53  # the second a little larger, so that the shape does not shrink

@@ -7,7 +7,8 @@ from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
 from esd.common import FloatArray, IntArray
-from esd.mesh.mesh import Mesh, adjacency, edges, surface_area
+from esd.mesh.geometry import adjacency, edges, surface_area
+from esd.mesh.mesh import Mesh
 from esd.mesh.topology import rims, sides_of
 
 _RINGS = 20  # of a patch at the most; the largest patches of very dense meshes are coarser

@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy import sparse
 
-from esd.baselines.acnn import AnisotropicPatches, anisotropic_patches
-from esd.baselines.gcnn import GeodesicPatches, geodesic_patches
 from esd.common import FloatArray, InputError
+from esd.learning.acnn import AnisotropicPatches, anisotropic_patches
+from esd.learning.gcnn import GeodesicPatches, geodesic_patches
 from esd.mesh.mesh import Mesh, PointCloud
 from esd.mesh.topology import has_sides, turned_outward
 from esd.spectral.cache import Arrays, Cache, content_key

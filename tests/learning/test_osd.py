@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from esd.baselines.osd import optimal_metric, with_knots
 from esd.common import InputError
 from esd.descriptors.recipe import Descriptor, Recipe, recipe_spectrum, single_recipe
 from esd.learning.fit import fit
 from esd.learning.model import load_model, save_model
+from esd.learning.osd import optimal_metric, with_knots
 from esd.learning.presets import PRESETS
 
 OSD = replace(

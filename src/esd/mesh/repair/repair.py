@@ -15,19 +15,12 @@ import numpy as np
 import numpy.typing as npt
 
 from esd.common import BoolArray, FloatArray, InputError, IntArray
-from esd.mesh.filling import holes_filled
-from esd.mesh.findings import FEW_VERTICES, SMALL_HOLE, Diagnosis, Finding
-from esd.mesh.mesh import (
-    Mesh,
-    MeshLike,
-    PointCloud,
-    as_arrays,
-    face_areas,
-    face_normals,
-    is_referenced,
-    surface_area,
-)
-from esd.mesh.smoothing import smoothed
+from esd.mesh.convert import MeshLike, as_arrays
+from esd.mesh.geometry import face_areas, face_normals, is_referenced, surface_area
+from esd.mesh.mesh import Mesh, PointCloud
+from esd.mesh.repair.filling import holes_filled
+from esd.mesh.repair.findings import FEW_VERTICES, SMALL_HOLE, Diagnosis, Finding
+from esd.mesh.repair.smoothing import smoothed
 from esd.mesh.topology import (
     SLIVER,
     Sides,

@@ -24,8 +24,7 @@ from scipy.sparse import csgraph
 from scipy.spatial import cKDTree
 
 from esd.common import BoolArray, FloatArray, InputError, IntArray
-from esd.mesh.mesh import (
-    Mesh,
+from esd.mesh.geometry import (
     components,
     edges,
     face_areas,
@@ -35,6 +34,7 @@ from esd.mesh.mesh import (
     vertex_areas,
     vertex_normals,
 )
+from esd.mesh.mesh import Mesh
 
 FINENESS = 2.0  # mean distance of sites over longest edge of the refinement
 SMOOTHING = 8  # averages of the curvature over neighbours before it guides the density

@@ -2,15 +2,16 @@ import numpy as np
 import pytest
 from scipy.linalg import eigh
 
-from esd.baselines.acnn import (
+from esd.common import InputError
+from esd.learning.acnn import (
     AnisotropicPatches,
     anisotropic_patches,
     anisotropic_stiffness,
     heat_operator,
 )
-from esd.baselines.patches import convolution, patch_operator
-from esd.common import InputError
-from esd.mesh.mesh import Mesh, PointCloud, surface_area
+from esd.learning.patches import convolution, patch_operator
+from esd.mesh.geometry import surface_area
+from esd.mesh.mesh import Mesh, PointCloud
 from esd.mesh.shapes import torus
 from esd.spectral.laplacian import lumped_mass, stiffness
 

@@ -11,7 +11,8 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from esd.common import FloatArray, IntArray
-from esd.mesh.mesh import Mesh, edges, surface_area, vertex_normals
+from esd.mesh.geometry import edges, surface_area, vertex_normals
+from esd.mesh.mesh import Mesh
 from esd.spectral.laplacian import SparseMatrix
 
 ComplexArray: TypeAlias = npt.NDArray[np.complexfloating[Any, Any]]

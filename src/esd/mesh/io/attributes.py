@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from esd.common import FloatArray, InputError, IntArray, whole_file
-from esd.mesh.files import read_mesh
+from esd.mesh.io.meshes import read_mesh
 from esd.mesh.mesh import Mesh
 
 ATTRIBUTE_FORMATS = (".ply", ".vtp")

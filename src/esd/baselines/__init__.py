@@ -1,1 +1,0 @@
-"""Descriptors by others, which the embeddings of the paper are compared with."""

@@ -1,0 +1,1 @@
+"""Files of meshes, and of what lies on them."""

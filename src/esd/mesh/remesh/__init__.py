@@ -1,0 +1,1 @@
+"""Remeshing: other triangles of the same surface."""

@@ -1,0 +1,1 @@
+"""What is wrong with meshes, and its repair."""
