@@ -37,7 +37,7 @@ from esd.evaluation.perturb import (
 )
 from esd.learning.model import Model, load_model
 from esd.matching.features import describe
-from esd.matching.match import match_described
+from esd.matching.match import match_features
 from esd.mesh.geodesics import geodesic_diameter, geodesic_graph
 from esd.mesh.geometry import edge_lengths, surface_area
 from esd.mesh.mesh import Mesh
@@ -246,7 +246,7 @@ def rows(
         vertices, faces, index = ALTERATIONS[name](source.mesh(), rng)
         mended = repair((vertices, faces), restore=True)
         other = describe(mended, model=model)
-        found = match_described(other, clean, model=model, refine=None, one_to_one=False)
+        found = match_features(other, clean, model=model, refine=None, one_to_one=False)
         here = index[source.correspondence()[points]]
         predicted = np.where(here >= 0, found.target_index[here], -1)
         (error,) = geodesic_errors(graph, predicted, (there[points],))

@@ -14,7 +14,8 @@ from esd.common import FloatArray, InputError, IntArray
 from esd.datasets.collection import Shape, mended
 from esd.evaluation.errors import area_under_curve, geodesic_errors
 from esd.learning.model import Model
-from esd.matching.features import describe, keep, kept
+from esd.matching.batch import load_features, save_features
+from esd.matching.features import shape_features
 from esd.matching.match import match_embedded
 from esd.mesh.geodesics import geodesic_diameter, geodesic_graph
 from esd.mesh.geometry import surface_area
@@ -202,14 +203,14 @@ def _embed(job: tuple[Shape, _Kept], *, model: Model, cache: Cache | None) -> No
     """Compute what `_embedded` reads."""
     shape, place = job
     repaired, index, symmetric = mended(shape)
-    described = describe(repaired, model=model, cache=cache)
+    described = shape_features(repaired, model=model, cache=cache)
     mesh, stands = repaired.shape, np.arange(len(repaired.original_index))
     if repaired.done & RESTORED:
         mesh = repair(shape.mesh(), all_pieces=True).shape
         fill = slice(len(mesh.vertices), None)
         stands[fill] = repaired.vertex_index[repaired.original_index[fill]]
     assert isinstance(mesh, Mesh)
-    keep(described, place.folder)
+    save_features(described, place.folder)
     np.savez(
         place.folder / "measured.npz",
         vertices=mesh.vertices,
@@ -221,7 +222,7 @@ def _embed(job: tuple[Shape, _Kept], *, model: Model, cache: Cache | None) -> No
 
 
 def _embedded(place: _Kept) -> _Embedded:
-    described = kept(place.folder)
+    described = load_features(place.folder)
     with np.load(place.folder / "measured.npz", allow_pickle=False) as measured:
         return _Embedded(
             Mesh(measured["vertices"], measured["faces"]),

@@ -20,8 +20,8 @@ from esd.experiments.report import Report, Table
 from esd.experiments.setting import Setting, fingerprint
 from esd.learning.model import Model, load_model
 from esd.matching.correspondence import Correspondence
-from esd.matching.features import Described, describe
-from esd.matching.match import match_described
+from esd.matching.features import Features, shape_features
+from esd.matching.match import match_features
 from esd.mesh.geodesics import geodesic_diameter, geodesic_graph
 from esd.mesh.mesh import Mesh
 from esd.mesh.repair.repair import repair
@@ -152,7 +152,7 @@ def _disturbed(noise: str, mesh: Mesh, level: float, *, seed: int) -> Perturbed:
     return PERTURBATIONS[noise].disturb(mesh, level, seed=seed)
 
 
-def _described(models: Mapping[str, Model], mesh: Mesh, kept: Cache | None) -> dict[str, Described]:
+def _described(models: Mapping[str, Model], mesh: Mesh, kept: Cache | None) -> dict[str, Features]:
     """A shape in the eyes of all models."""
     # all of `MODELS` take the same spectrum
     recipe = next(iter(models.values())).recipe
@@ -163,15 +163,15 @@ def _described(models: Mapping[str, Model], mesh: Mesh, kept: Cache | None) -> d
     described = {}
     for name, model in models.items():
         shape, pairs = as_it_is if name in _AS_THEY_ARE else as_matched
-        described[name] = describe(shape, model=model, pairs=pairs)
+        described[name] = shape_features(shape, model=model, pairs=pairs)
     return described
 
 
 def _matches(
-    models: Mapping[str, Model], source: Mapping[str, Described], target: Mapping[str, Described]
+    models: Mapping[str, Model], source: Mapping[str, Features], target: Mapping[str, Features]
 ) -> tuple[Correspondence, ...]:
     return tuple(
-        match_described(source[name], target[name], model=model, refine=None, one_to_one=False)
+        match_features(source[name], target[name], model=model, refine=None, one_to_one=False)
         for name, model in models.items()
     )
 
@@ -184,7 +184,7 @@ def _matching(
     key, data = models_key(models), fingerprint(setting.testing)
 
     @cache
-    def clean() -> dict[str, Described]:
+    def clean() -> dict[str, Features]:
         return _described(models, target.mesh(), setting.cache)
 
     def matched(noise: str, level: float) -> Arrays:
@@ -207,7 +207,7 @@ def _matching(
 def _maps_of_pair(
     models: Mapping[str, Model],
     pair: tuple[Shape, Shape],
-    clean: Mapping[str, Described],
+    clean: Mapping[str, Features],
     noise: str,
     level: float,
     *,

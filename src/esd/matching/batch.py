@@ -14,11 +14,14 @@ import numpy as np
 from esd.common import InputError
 from esd.learning.model import Model
 from esd.matching.correspondence import check_map_path, save_map
-from esd.matching.features import describe, keep, kept
-from esd.matching.match import check_copies, match_described
+from esd.matching.features import Features, shape_features
+from esd.matching.match import check_copies, match_features
+from esd.mesh.mesh import Mesh, PointCloud
 from esd.mesh.repair.repair import repair
 from esd.parallel import outcomes, shared_folder
 from esd.spectral.cache import default_cache
+from esd.spectral.coarse import CoarseCopy
+from esd.spectral.spectrum import Spectrum
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,7 +181,9 @@ def _describe(
 ) -> None:
     """Compute all that matching takes of a shape, and put it in a folder."""
     shape = repair(file, everything=everything, restore=True)
-    keep(describe(shape, model=model, coarse=coarse, cache=default_cache()), places[file])
+    save_features(
+        shape_features(shape, model=model, coarse=coarse, cache=default_cache()), places[file]
+    )
 
 
 def _match(
@@ -190,8 +195,8 @@ def _match(
     one_to_one: bool,
     threshold: float,
 ) -> MatchedPair:
-    source, target = kept(places[pair.source]), kept(places[pair.target])
-    found = match_described(
+    source, target = load_features(places[pair.source]), load_features(places[pair.target])
+    found = match_features(
         source, target, model=model, refine=refine, one_to_one=one_to_one
     ).rejecting(threshold)
     save_map(found, pair.output)
@@ -202,4 +207,60 @@ def _match(
         found.coverage(len(target.vertex_index)),
         judged.verdict if judged else None,
         judged.expected_accuracy if judged else None,
+    )
+
+
+def save_features(features: Features, folder: Path) -> None:
+    """Write to a new folder what `kept` reads."""
+    pairs, copy = features.spectrum, features.copy
+    arrays = {
+        "vertices": features.shape.vertices,
+        "eigenvalues": pairs.eigenvalues,
+        "eigenvectors": pairs.eigenvectors,
+        "mass": pairs.mass,
+        "zero_modes": np.array(pairs.zero_modes),
+        "values": features.values,
+        "embedded": features.embedded,
+        "is_turned": np.array(features.is_turned),
+        "vertex_index": features.vertex_index,
+        "original_index": features.original_index,
+        "filling": np.array(features.filling),
+    }
+    if isinstance(features.shape, Mesh):
+        arrays["faces"] = features.shape.faces
+    if copy is not None:
+        arrays |= {
+            "dense": copy.vertices,
+            "face": copy.face,
+            "barycentric": copy.barycentric,
+        }
+    folder.mkdir()
+    for name, array in arrays.items():
+        np.save(folder / f"{name}.npy", array, allow_pickle=False)
+
+
+def load_features(folder: Path) -> Features:
+    """What `keep` wrote; arrays are mapped, so that processes share them."""
+    arrays = {
+        path.stem: np.load(path, mmap_mode="r", allow_pickle=False) for path in folder.glob("*.npy")
+    }
+    shape: Mesh | PointCloud = PointCloud(arrays["vertices"])
+    if "faces" in arrays:
+        shape = Mesh(arrays["vertices"], arrays["faces"])
+    copy = None
+    if isinstance(shape, Mesh) and "face" in arrays:
+        copy = CoarseCopy(shape, arrays["dense"], arrays["face"], arrays["barycentric"])
+    pairs = Spectrum(
+        arrays["eigenvalues"], arrays["eigenvectors"], arrays["mass"], int(arrays["zero_modes"])
+    )
+    return Features(
+        shape,
+        pairs,
+        arrays["values"],
+        arrays["embedded"],
+        bool(arrays["is_turned"]),
+        arrays["vertex_index"],
+        arrays["original_index"],
+        int(arrays["filling"]),
+        copy,
     )

@@ -1,15 +1,16 @@
-"""All that matching takes of a shape, computed once, and kept in a folder for other processes."""
+"""What matching takes of a shape: its spectrum, descriptors and embedding, computed once."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from esd.common import BoolArray, FloatArray, IntArray
-from esd.descriptors.recipe import recipe_spectrum
+from esd.descriptors.recipe import recipe_spectrum, spectrum_descriptors
 from esd.learning.model import Model
+from esd.learning.patches import patch_operator
 from esd.mesh.mesh import Mesh, PointCloud
 from esd.mesh.repair.repair import Repaired
 from esd.spectral.cache import Cache
@@ -18,7 +19,7 @@ from esd.spectral.spectrum import Spectrum
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Described:
+class Features:
     """A shape with its spectrum and embedding.
 
     Parameters
@@ -27,6 +28,8 @@ class Described:
         Repaired, or a coarse copy of that.
     spectrum
         Of the shape.
+    values : (r, w) float32
+        Descriptors of its vertices, which the model embeds.
     embedded : (r, d)
         Embedding of its vertices.
     is_turned
@@ -42,6 +45,7 @@ class Described:
 
     shape: Mesh | PointCloud
     spectrum: Spectrum
+    values: npt.NDArray[np.float32]
     embedded: FloatArray
     is_turned: bool
     vertex_index: IntArray
@@ -55,15 +59,15 @@ class Described:
         return np.arange(count) >= count - self.filling
 
 
-def describe(
+def shape_features(
     repaired: Repaired,
     *,
     model: Model,
     coarse: int | None = None,
     pairs: Spectrum | None = None,
     cache: Cache | None = None,
-) -> Described:
-    """The spectrum and the embedding of a shape, or of its coarse copy.
+) -> Features:
+    """The spectrum, descriptors and embedding of a shape, or of its coarse copy.
 
     Parameters
     ----------
@@ -83,68 +87,17 @@ def describe(
     shape = repaired.shape if copy is None else copy.mesh
     if pairs is None or copy is not None:
         pairs = recipe_spectrum(model.recipe, shape, cache=cache)
-    return Described(
+    values = spectrum_descriptors(model.recipe, shape, pairs)
+    operator = None if model.patches is None else patch_operator(model.patches, shape, cache=cache)
+    return Features(
         shape,
         pairs,
-        model.embed_spectrum(shape, pairs, cache=cache),
+        values.astype(np.float32),
+        model.embed(values, operator),
         # faces that were wound differently have no outside of their own that could be turned
         "inside_out_pieces" in repaired.done and "inconsistent_winding" not in repaired.done,
         repaired.vertex_index,
         repaired.original_index,
         repaired.filling,
-        copy,
-    )
-
-
-def keep(described: Described, folder: Path) -> None:
-    """Write to a new folder what `kept` reads."""
-    pairs, copy = described.spectrum, described.copy
-    arrays = {
-        "vertices": described.shape.vertices,
-        "eigenvalues": pairs.eigenvalues,
-        "eigenvectors": pairs.eigenvectors,
-        "mass": pairs.mass,
-        "zero_modes": np.array(pairs.zero_modes),
-        "embedded": described.embedded,
-        "is_turned": np.array(described.is_turned),
-        "vertex_index": described.vertex_index,
-        "original_index": described.original_index,
-        "filling": np.array(described.filling),
-    }
-    if isinstance(described.shape, Mesh):
-        arrays["faces"] = described.shape.faces
-    if copy is not None:
-        arrays |= {
-            "dense": copy.vertices,
-            "face": copy.face,
-            "barycentric": copy.barycentric,
-        }
-    folder.mkdir()
-    for name, array in arrays.items():
-        np.save(folder / f"{name}.npy", array, allow_pickle=False)
-
-
-def kept(folder: Path) -> Described:
-    """What `keep` wrote; arrays are mapped, so that processes share them."""
-    arrays = {
-        path.stem: np.load(path, mmap_mode="r", allow_pickle=False) for path in folder.glob("*.npy")
-    }
-    shape: Mesh | PointCloud = PointCloud(arrays["vertices"])
-    if "faces" in arrays:
-        shape = Mesh(arrays["vertices"], arrays["faces"])
-    copy = None
-    if isinstance(shape, Mesh) and "face" in arrays:
-        copy = CoarseCopy(shape, arrays["dense"], arrays["face"], arrays["barycentric"])
-    pairs = Spectrum(
-        arrays["eigenvalues"], arrays["eigenvectors"], arrays["mass"], int(arrays["zero_modes"])
-    )
-    return Described(
-        shape,
-        pairs,
-        arrays["embedded"],
-        bool(arrays["is_turned"]),
-        arrays["vertex_index"],
-        arrays["original_index"],
-        int(arrays["filling"]),
         copy,
     )

@@ -15,7 +15,7 @@ from esd.learning.model import Model, load_model
 from esd.matching.assignment import one_to_one as assignment
 from esd.matching.confidence import confidence, judgement
 from esd.matching.correspondence import Correspondence
-from esd.matching.features import Described, describe
+from esd.matching.features import Features, shape_features
 from esd.matching.refine import SIZES, joint_rows, mean_squared_distance, zoomout
 from esd.mesh.convert import MeshLike
 from esd.mesh.geometry import is_referenced
@@ -86,11 +86,11 @@ def match(
                 name,
                 count,
             )
-    work = partial(describe, model=model, coarse=coarse, cache=cache)
+    work = partial(shape_features, model=model, coarse=coarse, cache=cache)
     is_dense = max(len(each.shape.vertices) for each in shapes) > DENSE
     # not both at a time where memory is scarce
     described = [work(each) for each in shapes] if is_dense else side_by_side(work, shapes)
-    found = match_described(
+    found = match_features(
         described[0], described[1], model=model, refine=refine, one_to_one=one_to_one
     )
     for name, each in zip(("source", "target"), shapes, strict=True):
@@ -105,9 +105,9 @@ def check_copies(*, one_to_one: bool, coarse: int | None) -> None:
         raise InputError("Maps by way of coarse copies are not one-to-one; leave out one of both.")
 
 
-def match_described(
-    source: Described,
-    target: Described,
+def match_features(
+    source: Features,
+    target: Features,
     *,
     model: Model,
     refine: bool | None,
@@ -145,7 +145,7 @@ def match_described(
 
 
 def _judged(
-    match: Correspondence, back: Correspondence, source: Described, target: Described
+    match: Correspondence, back: Correspondence, source: Features, target: Features
 ) -> Correspondence:
     """The map with its confidence and a judgement; points without faces give no evidence."""
     if isinstance(source.shape, PointCloud) or isinstance(target.shape, PointCloud):
@@ -167,7 +167,7 @@ def _judged(
 
 
 def _for_original_vertices(
-    match: Correspondence, source: Described, target: Described
+    match: Correspondence, source: Features, target: Features
 ) -> Correspondence:
     """The map between the original vertices, of one between repaired shapes.
 
