@@ -10,10 +10,10 @@ from esd.descriptors.recipe import Descriptor, Recipe
 from esd.evaluation.errors import area_under_curve, cumulative_curve, geodesic_errors
 from esd.evaluation.protocol import evaluate
 from esd.learning.model import Model, load_model
-from esd.matching.match import match_embedded
 from esd.mesh.geodesics import geodesic_diameter, geodesic_graph
 from esd.mesh.geometry import surface_area
 from esd.mesh.mesh import Mesh
+from esd.nearest import nearest
 
 
 def test_errors_are_distances_from_either_side(blob):
@@ -108,9 +108,7 @@ def test_wrong_truth_shows_and_missing_points_do_not_count(model, shapes):
 
 def test_rejected_points_are_wrong_but_not_in_the_mean(model, shapes):
     _, [pair] = evaluate(model, [shapes])
-    distance = match_embedded(
-        *(model.embed_mesh(shape.mesh()) for shape in shapes), margin=model.margin
-    ).distance
+    _, distance = nearest(*(model.embed_mesh(shape.mesh()) for shape in shapes))
     strict = replace(model, margin=2 * float(np.median(distance)) ** 2)  # rejects half
     result, _ = evaluate(strict, [shapes], reject=True)
     assert result.matched == pytest.approx(0.5, abs=0.01)

@@ -6,7 +6,7 @@ import pytest
 from esd.common import InputError
 from esd.learning.model import load_model, raw_model
 from esd.matching.correspondence import Correspondence, load_map, save_map
-from esd.matching.match import match, match_embedded
+from esd.matching.match import match, with_similarity
 from esd.mesh.mesh import Mesh
 from esd.nearest import nearest
 
@@ -37,7 +37,9 @@ def test_rows_that_are_not_finite_take_no_part():
 
 
 def test_similarity_and_rejection():
-    result = match_embedded(np.array([[0.0], [3.0]]), np.array([[1.0]]), margin=5.0)
+    result = with_similarity(
+        np.array([[0.0], [3.0]]), np.array([[1.0]]), np.array([0, 0]), margin=5.0
+    )
     np.testing.assert_allclose(result.confidence, np.exp([-1 / 5, -4 / 5]))
     kept = result.rejecting(2.5)
     np.testing.assert_array_equal(kept.target_index, [0, -1])
@@ -49,7 +51,7 @@ def test_without_margin_similarity_is_relative_to_chance():
     generator = np.random.default_rng(0)
     source, target = generator.standard_normal((300, 4)), generator.standard_normal((200, 4)) + 1
     mean = ((source[:, None] - target) ** 2).sum(axis=2).mean()
-    result = match_embedded(source, target, margin=None)
+    result = with_similarity(source, target, nearest(source, target)[0], margin=None)
     np.testing.assert_allclose(result.confidence, np.exp(-(result.distance**2) / mean))
 
 
@@ -79,7 +81,8 @@ def test_one_to_one_maps_take_no_vertex_twice(blob, refine):
         blob.vertices * [1, 1.1, 1.2] + 0.01 * np.sin(9 * blob.vertices[:, ::-1]), blob.faces
     )
     usual, single = (
-        match(blob, noisy, model=model, refine=refine, one_to_one=each) for each in (False, True)
+        match(blob, noisy, model=model, refine=refine, one_to_one=each, candidates=["embedding"])
+        for each in (False, True)
     )
     taken = single.target_index[single.is_matched()]
     assert len(taken) == len(np.unique(taken)) > len(np.unique(usual.target_index))

@@ -15,15 +15,14 @@ from esd.datasets.collection import Shape, mended
 from esd.evaluation.errors import area_under_curve, geodesic_errors
 from esd.learning.model import Model
 from esd.matching.batch import load_features, save_features
-from esd.matching.features import shape_features
-from esd.matching.match import match_embedded
+from esd.matching.features import Features, shape_features
+from esd.matching.match import match_repaired
 from esd.mesh.geodesics import geodesic_diameter, geodesic_graph
 from esd.mesh.geometry import surface_area
 from esd.mesh.mesh import Mesh
 from esd.mesh.repair.repair import RESTORED, repair
 from esd.parallel import outcomes, shared_folder
 from esd.spectral.cache import Cache
-from esd.spectral.spectrum import Spectrum
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,19 +106,18 @@ class _Embedded:
     Parameters
     ----------
     mesh
-        On which errors are measured: mended, but not restored.
-    pairs, values
-        Spectrum and embedding (r, d) of the same restored, see `esd.mesh.doctor.repair`.
-    stands : (r,)
-        The vertex of `mesh` that each stands for: itself, or one on the rim of the hole it fills.
+        On which errors are measured: repaired, but neither filled nor smoothed.
+    features
+        Of the same filled and smoothed, r vertices, see `esd.mesh.repair.repair`.
+    represented : (r,)
+        The vertex of `mesh` that each represents: itself, or one on the rim of the hole it fills.
     index, symmetric
         Vertices at the points of the template.
     """
 
     mesh: Mesh
-    pairs: Spectrum
-    values: FloatArray
-    stands: IntArray
+    features: Features
+    represented: IntArray
     index: IntArray
     symmetric: IntArray | None
 
@@ -129,6 +127,7 @@ def evaluate(
     pairs: Sequence[tuple[Shape, Shape]],
     *,
     refine: bool | None = None,
+    candidates: Sequence[str] | None = None,
     reject: bool = False,
     workers: int | None = 1,
     scheduler: str | None = None,
@@ -145,6 +144,8 @@ def evaluate(
         Source and target shapes.
     refine
         Whether maps are refined by `zoomout`; by default if the model tells left from right.
+    candidates
+        Names of the maps to choose from, see `esd.matching.match.match`.
     reject
         Whether matches beyond the model's threshold are dropped.
     workers, scheduler
@@ -182,10 +183,10 @@ def evaluate(
             sources.setdefault(target.name, []).append(places[source.name])
         work = partial(
             _errors_on_target,
-            margin=model.margin,
+            model=model,
             refine=refine,
+            candidates=candidates,
             threshold=threshold,
-            device=model.device,
         )
         groups = ((places[name], group) for name, group in sources.items())
         for matched in outcomes(work, groups, workers=workers, scheduler=scheduler):
@@ -204,31 +205,29 @@ def _embed(job: tuple[Shape, _Kept], *, model: Model, cache: Cache | None) -> No
     shape, place = job
     repaired, index, symmetric = mended(shape)
     described = shape_features(repaired, model=model, cache=cache)
-    mesh, stands = repaired.shape, np.arange(len(repaired.original_index))
+    mesh, represented = repaired.shape, np.arange(len(repaired.original_index))
     if repaired.done & RESTORED:
         mesh = repair(shape.mesh(), all_pieces=True).shape
         fill = slice(len(mesh.vertices), None)
-        stands[fill] = repaired.vertex_index[repaired.original_index[fill]]
+        represented[fill] = repaired.vertex_index[repaired.original_index[fill]]
     assert isinstance(mesh, Mesh)
     save_features(described, place.folder)
     np.savez(
         place.folder / "measured.npz",
         vertices=mesh.vertices,
         faces=mesh.faces,
-        stands=stands,
+        represented=represented,
         index=index,
         symmetric=np.zeros(0) if symmetric is None else symmetric,
     )
 
 
 def _embedded(place: _Kept) -> _Embedded:
-    described = load_features(place.folder)
     with np.load(place.folder / "measured.npz", allow_pickle=False) as measured:
         return _Embedded(
             Mesh(measured["vertices"], measured["faces"]),
-            described.spectrum,
-            described.embedded,
-            measured["stands"],
+            load_features(place.folder),
+            measured["represented"],
             measured["index"],
             measured["symmetric"] if len(measured["symmetric"]) else None,
         )
@@ -237,10 +236,10 @@ def _embedded(place: _Kept) -> _Embedded:
 def _errors_on_target(
     job: tuple[_Kept, list[_Kept]],
     *,
-    margin: float | None,
+    model: Model,
     refine: bool,
+    candidates: Sequence[str] | None,
     threshold: float,
-    device: str,
 ) -> list[PairErrors]:
     """Errors of the maps from several sources to one target."""
     target, sources = _embedded(job[0]), [_embedded(place) for place in job[1]]
@@ -248,12 +247,13 @@ def _errors_on_target(
     diameter = geodesic_diameter(target.mesh, graph=graph)
     maps = []
     for source in sources:
-        spectra = (source.pairs, target.pairs) if refine else None
-        match = match_embedded(
-            source.values, target.values, margin=margin, spectra=spectra, device=device
+        match = match_repaired(
+            source.features, target.features, model=model, refine=refine, candidates=candidates
         )
         matched = match.rejecting(threshold).target_index
-        maps.append(np.where(matched >= 0, target.stands[matched], -1)[: len(source.mesh.vertices)])
+        # of the vertices of the source as it is measured, which come before those of fillings
+        vertices = matched[: len(source.mesh.vertices)]
+        maps.append(np.where(vertices >= 0, target.represented[vertices], -1))
     # all maps at once, so that each target vertex is the source of distances only once
     predicted = [
         np.where(source.index >= 0, index[source.index], -1)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -49,11 +50,20 @@ class Judgement:
     orientation
         Between −1 and 1: the share of the source's surface, by area, that keeps its side under
         the map less the share that is turned over, as the faces of both files are wound.
+    costs
+        Of the candidates that the map was chosen from, by name, see `esd.matching.judge`; the
+        least is best. Empty where there was no choice.
     """
 
     verdict: Verdict
     expected_accuracy: float
     orientation: float
+    costs: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def candidate(self) -> str | None:
+        """Name of the candidate that was chosen; None where there was no choice."""
+        return min(self.costs, key=lambda name: self.costs[name]) if self.costs else None
 
     @property
     def advice(self) -> str:

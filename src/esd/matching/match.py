@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
-from esd.common import FloatArray, InputError
+from esd.common import FloatArray, InputError, IntArray
 from esd.learning.model import Model, load_model
 from esd.matching.assignment import one_to_one as assignment
+from esd.matching.candidates import CANDIDATES, Candidate, Rows
+from esd.matching.choice import check_candidates, chosen
 from esd.matching.confidence import confidence, judgement
 from esd.matching.correspondence import Correspondence
 from esd.matching.features import Features, shape_features
@@ -24,7 +26,6 @@ from esd.mesh.repair.repair import Repaired, repair
 from esd.nearest import nearest
 from esd.parallel import side_by_side
 from esd.spectral.cache import Cache, default_cache
-from esd.spectral.spectrum import Spectrum
 
 _log = logging.getLogger(__name__)
 
@@ -44,6 +45,7 @@ def match(
     model: Model | str | os.PathLike[str] = DEFAULT_MODEL,
     refine: bool | None = None,
     one_to_one: bool = False,
+    candidates: Sequence[str] | None = None,
     coarse: int | None = None,
     cache: Cache | None = None,
 ) -> Correspondence:
@@ -62,6 +64,9 @@ def match(
         Whether the map is refined by `zoomout`; by default if the model tells left from right.
     one_to_one
         Whether no target vertex may be matched twice; source vertices are then left out.
+    candidates
+        Names of the maps to choose from, see `esd.matching.candidates.CANDIDATES`; by default all
+        if the map is refined, else nearest embeddings alone.
     coarse
         For dense meshes: number of vertices of the copies, remeshed, that are matched in their
         place; the map is carried to all vertices, see `esd.matching.dense`. Ten thousand do.
@@ -74,6 +79,8 @@ def match(
         If a mesh or the model cannot be used.
     """
     check_copies(one_to_one=one_to_one, coarse=coarse)
+    if candidates is not None:
+        check_candidates(candidates)
     model = model if isinstance(model, Model) else load_model(model)
     cache = default_cache() if cache is None else cache
     shapes = repair(source, restore=True), repair(target, restore=True)
@@ -91,7 +98,12 @@ def match(
     # not both at a time where memory is scarce
     described = [work(each) for each in shapes] if is_dense else side_by_side(work, shapes)
     found = match_features(
-        described[0], described[1], model=model, refine=refine, one_to_one=one_to_one
+        described[0],
+        described[1],
+        model=model,
+        refine=refine,
+        one_to_one=one_to_one,
+        candidates=candidates,
     )
     for name, each in zip(("source", "target"), shapes, strict=True):
         if each.in_a_line():
@@ -110,47 +122,112 @@ def match_features(
     target: Features,
     *,
     model: Model,
-    refine: bool | None,
-    one_to_one: bool,
+    refine: bool | None = None,
+    one_to_one: bool = False,
+    candidates: Sequence[str] | None = None,
 ) -> Correspondence:
-    """As `match`, of a source and a target that were described by the model."""
-    refine = model.is_oriented if refine is None else refine
-    embedded, spectra = (source.embedded, target.embedded), (source.spectrum, target.spectrum)
-    found = match_embedded(
-        *embedded,
-        margin=model.margin,
-        spectra=spectra if refine else None,
+    """As `match`, of the features of a source and a target by the model."""
+    found = match_repaired(
+        source,
+        target,
+        model=model,
+        refine=refine,
         one_to_one=one_to_one,
-        device=model.device,
+        candidates=candidates,
     )
-    back = match_embedded(
-        *embedded[::-1],
-        margin=model.margin,
-        spectra=spectra[::-1] if refine else None,
-        sizes=_BACK_SIZES,
-        device=model.device,
-    )
-    found = _judged(found, back, source, target)
+    return _for_original_vertices(found, source, target)
+
+
+def match_repaired(
+    source: Features,
+    target: Features,
+    *,
+    model: Model,
+    refine: bool | None = None,
+    one_to_one: bool = False,
+    candidates: Sequence[str] | None = None,
+) -> Correspondence:
+    """As `match_features`, between the vertices of the repaired shapes."""
+    refine = model.is_oriented if refine is None else refine
+    is_mesh = isinstance(source.shape, Mesh) and isinstance(target.shape, Mesh)
+    costs: dict[str, float] = {}
+    if is_mesh and (refine or candidates):
+        choice = chosen(source, target, names=candidates or tuple(CANDIDATES))
+        costs = choice.costs
+        maps = _full_maps(source, target, choice.candidate, refine=refine, device=model.device)
+    else:
+        maps = _nearest_maps(source, target, refine=refine, device=model.device)
+    is_dense = source.copy is not None and target.copy is not None
+    rows = maps.rows() if one_to_one or is_dense else (source.embedded, target.embedded)
+    index = assignment(*rows) if one_to_one else maps.index
+    found = with_similarity(source.embedded, target.embedded, index, margin=model.margin)
+    found = _judged(found, maps.back, source, target, costs)
     if source.copy is not None and target.copy is not None:
         from esd.matching.dense import carried_to_dense  # with trimesh, which is slow to import
         from esd.matching.precise import precise_map
 
-        rows = embedded
-        if refine:
-            size = min(len(pairs.eigenvalues) for pairs in spectra)
-            rows = joint_rows(*spectra, found.target_index, size=size, embeddings=embedded)
         image = precise_map(*rows, target.copy.mesh.faces, found.target_index)
         found = carried_to_dense(found, image, source.copy, target.copy)
-    return _for_original_vertices(found, source, target)
+    return found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Maps:
+    """A map between all vertices, one back, and the rows whose nearest the map is."""
+
+    index: IntArray
+    back: IntArray
+    rows: Callable[[], Rows]
+
+
+def _nearest_maps(source: Features, target: Features, *, refine: bool, device: str) -> _Maps:
+    """Maps by nearest embeddings, refined or not."""
+    embeddings = source.embedded, target.embedded
+    start = nearest(*embeddings, device=device)[0], nearest(*embeddings[::-1], device=device)[0]
+    if not refine:
+        return _Maps(*start, lambda: embeddings)
+    return _refined_maps(source, target, start, embeddings, device=device)
+
+
+def _full_maps(
+    source: Features, target: Features, candidate: Candidate, *, refine: bool, device: str
+) -> _Maps:
+    """The maps of a candidate, refined with its embeddings if it has any."""
+    forward, backward = candidate.forward, candidate.backward[::-1]
+    start = nearest(*forward, device=device)[0], nearest(*backward, device=device)[0]
+    if candidate.embeddings is None or not refine:
+        return _Maps(*start, lambda: forward)
+    return _refined_maps(source, target, start, candidate.embeddings, device=device)
+
+
+def _refined_maps(
+    source: Features,
+    target: Features,
+    start: tuple[IntArray, IntArray],
+    embeddings: Rows,
+    *,
+    device: str,
+) -> _Maps:
+    spectra = source.spectrum, target.spectrum
+    index = zoomout(*spectra, start[0], embeddings=embeddings, device=device)
+    back = zoomout(
+        *spectra[::-1], start[1], sizes=_BACK_SIZES, embeddings=embeddings[::-1], device=device
+    )
+    size = min(SIZES[-1], *(len(spectrum.eigenvalues) for spectrum in spectra))
+    return _Maps(index, back, lambda: joint_rows(*spectra, index, size=size, embeddings=embeddings))
 
 
 def _judged(
-    match: Correspondence, back: Correspondence, source: Features, target: Features
+    match: Correspondence,
+    back: IntArray,
+    source: Features,
+    target: Features,
+    costs: Mapping[str, float],
 ) -> Correspondence:
     """The map with its confidence and a judgement; points without faces give no evidence."""
     if isinstance(source.shape, PointCloud) or isinstance(target.shape, PointCloud):
         return match
-    values = confidence(source.shape, target.shape, match.target_index, back.target_index)
+    values = confidence(source.shape, target.shape, match.target_index, back)
     counted = None
     if source.copy is None and target.copy is None:
         counted = is_referenced(source.shape) & ~source.is_filling()
@@ -163,7 +240,7 @@ def _judged(
         counted=counted,
         turned_over=source.is_turned != target.is_turned,
     )
-    return replace(match, confidence=values, judgement=verdict)
+    return replace(match, confidence=values, judgement=replace(verdict, costs=costs))
 
 
 def _for_original_vertices(
@@ -185,43 +262,21 @@ def _for_original_vertices(
     )
 
 
-def match_embedded(
-    source: FloatArray,
-    target: FloatArray,
-    *,
-    margin: float | None,
-    spectra: tuple[Spectrum, Spectrum] | None = None,
-    sizes: Sequence[int] = SIZES,
-    one_to_one: bool = False,
-    device: str = "cpu",
+def with_similarity(
+    source: FloatArray, target: FloatArray, target_index: IntArray, *, margin: float | None
 ) -> Correspondence:
-    """The nearest row of `target` (m, d) to each row of `source` (n, d) as a correspondence.
+    """A map as a correspondence: the distances of matched rows, and their similarities.
 
     Parameters
     ----------
+    source, target : (n, d) and (m, d)
+        Embeddings.
     margin
         C of the similarity exp(−distance² / C) (section 3.4 of the paper leaves its form open).
         Where there is none, it is the mean squared distance of any two rows, so that descriptors
         no more alike than chance have similarity exp(−1).
-    spectra
-        Of the source and the target; the map is then refined by `zoomout`, and the distances are
-        those of the refined matches.
-    sizes
-        Of the steps of `zoomout`.
-    one_to_one
-        Whether no target vertex may be matched twice, see `esd.matching.assignment`.
-    device
-        Where nearest rows are found, see `esd.learning.model.Model`.
     """
-    rows = source, target
-    index, _ = nearest(*rows, device=device)
-    if spectra is not None:
-        index = zoomout(*spectra, index, sizes=sizes, embeddings=(source, target), device=device)
-        if one_to_one:
-            size = min(sizes[-1], *(len(pairs.eigenvalues) for pairs in spectra))
-            rows = joint_rows(*spectra, index, size=size, embeddings=(source, target))
-    if one_to_one:
-        index = assignment(*rows)
-    distance = np.where(index >= 0, np.linalg.norm(source - target[index], axis=1), np.inf)
+    distance = np.linalg.norm(source - target[target_index], axis=1)
+    distance = np.where(target_index >= 0, distance, np.inf)
     scale = mean_squared_distance(source, target) if margin is None else margin
-    return Correspondence(index, distance, np.exp(-(distance**2) / scale))
+    return Correspondence(target_index, distance, np.exp(-(distance**2) / scale))

@@ -1,0 +1,199 @@
+"""Several ways from two shapes to a map, each refined coarsely, of which a judge takes the best."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from esd.common import BoolArray, FloatArray, IntArray
+from esd.matching.extrinsic import Posed, posed
+from esd.matching.features import Features
+from esd.matching.functional_map import functional_map, spectral_rows
+from esd.matching.refine import zoomout
+from esd.mesh.geometry import face_areas, surface_area
+from esd.mesh.mesh import Mesh
+from esd.nearest import nearest
+from esd.spectral.spectrum import Spectrum
+
+Rows = tuple[FloatArray, FloatArray]
+"""Rows of the source's and of the target's vertices, (n, d) and (m, d)."""
+
+CANDIDATES = {
+    "embedding": "nearest embeddings of the model",
+    "descriptors": "nearest descriptors of the pair itself, without a model",
+    "extrinsic": "affine alignment and smooth deformation, for shapes of one pose",
+    "extrinsic+embedding": "extrinsic, refined with the embeddings",
+    "extrinsic+descriptors": "extrinsic, refined with the descriptors",
+}
+"""Names of the candidates, and what each is."""
+
+_FROM_NOTHING = (8, 14, 20, 30, 45, 60)  # eigenfunctions: few first, so that limbs are sorted out
+FROM_POSE = (20, 30, 45, 60)
+"""Eigenfunctions of the refinement of a map that is about right."""
+
+_COMPONENTS = 48  # of the descriptors of a pair
+_LIMIT = 3.0  # deviations at which descriptors are cut off
+_WEIGHT = 0.8  # of embeddings beside eigenfunctions in the rows of a candidate
+_NORMALS = 0.05  # of unit normals beside positions, in nearest points of deformed shapes
+_TRIANGLES = 600  # at whose corners maps are judged
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sampled:
+    """A shape, and the samples that its candidates are computed and judged on.
+
+    Parameters
+    ----------
+    features
+        Of a mesh.
+    posed
+        Its vertices, normalised, with a sample drawn by area.
+    spectrum
+        Of unit area, at the sample.
+    corners : (q,)
+        Vertices at which maps are judged.
+    triangles : (t, 3)
+        Faces drawn by area, as indices into `corners`.
+    points, normals : (n, 3)
+        Positions in units of √area, and unit normals, of all vertices.
+    """
+
+    features: Features
+    posed: Posed
+    spectrum: Spectrum
+    corners: IntArray
+    triangles: IntArray
+    points: FloatArray
+    normals: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """A map, and a map back, between all vertices, as nearest rows.
+
+    Parameters
+    ----------
+    name
+        One of `CANDIDATES`.
+    forward, backward
+        Rows by which the map, and the map back, go to the nearest.
+    embeddings
+        What the refinement of the map goes by; None for maps that are not refined.
+    """
+
+    name: str
+    forward: Rows
+    backward: Rows
+    embeddings: Rows | None
+
+
+def sampled(features: Features, *, seed: int = 0) -> Sampled:
+    """The samples of a mesh; what fills its holes is not drawn."""
+    mesh = features.shape
+    assert isinstance(mesh, Mesh)  # point clouds have no candidates
+    filling: BoolArray = np.zeros(len(mesh.vertices), dtype=bool)
+    if features.copy is None:
+        filling = features.is_filling()
+    pose = posed(mesh, filling=filling, seed=seed)
+    unit = features.spectrum.with_area(1.0)
+    count = len(pose.sample)
+    area = np.where(filling[mesh.faces].any(axis=1), 0.0, face_areas(mesh))
+    chosen = np.random.default_rng(seed).choice(
+        len(area),
+        min(_TRIANGLES, int(np.count_nonzero(area))),
+        replace=False,
+        p=area / area.sum(),
+    )
+    corners, triangles = np.unique(mesh.faces[chosen], return_inverse=True)
+    return Sampled(
+        features,
+        pose,
+        replace(  # a sample drawn by area has the same area at each vertex
+            unit, eigenvectors=unit.eigenvectors[pose.sample], mass=np.full(count, 1 / count)
+        ),
+        corners,
+        triangles.reshape(-1, 3),
+        mesh.vertices / np.sqrt(surface_area(mesh)),
+        pose.normals,
+    )
+
+
+def spectral_candidate(
+    name: str,
+    source: Sampled,
+    target: Sampled,
+    embeddings: Rows,
+    *,
+    start: tuple[IntArray, IntArray] | None = None,
+    sizes: Sequence[int] = _FROM_NOTHING,
+) -> Candidate:
+    """A map refined on the samples by `zoomout`, with embeddings of all vertices beside.
+
+    Parameters
+    ----------
+    start : (s,) and (s,)
+        Maps between the samples to start from; by default the nearest embeddings.
+    """
+    spectra = source.spectrum, target.spectrum
+    here, there = source.posed.sample, target.posed.sample
+    at_samples = embeddings[0][here], embeddings[1][there]
+    if start is None:
+        start = nearest(*at_samples)[0], nearest(*at_samples[::-1])[0]
+    there_map = zoomout(*spectra, start[0], sizes=sizes, embeddings=at_samples)
+    back_map = zoomout(*spectra[::-1], start[1], sizes=sizes, embeddings=at_samples[::-1])
+    forward = _rows(source, target, there_map, embeddings, sizes[-1])
+    backward = _rows(target, source, back_map, embeddings[::-1], sizes[-1])[::-1]
+    return Candidate(name, forward, (backward[0], backward[1]), embeddings)
+
+
+def _rows(source: Sampled, target: Sampled, index: IntArray, embeddings: Rows, size: int) -> Rows:
+    """Rows of all vertices whose nearest extend a map between the samples."""
+    spectra = source.spectrum, target.spectrum
+    size = min(size, *(len(spectrum.eigenvalues) for spectrum in spectra))
+    functional = functional_map(*spectra, index, size=size)
+    here, there = source.posed.sample, target.posed.sample
+    at_samples = spectral_rows(*spectra, functional)
+    gap = np.sqrt(((at_samples[0] - at_samples[1][index]) ** 2).sum(axis=1).mean())
+    miss = np.sqrt(((embeddings[0][here] - embeddings[1][there[index]]) ** 2).sum(axis=1).mean())
+    weight = _WEIGHT * gap / max(miss, 1e-3)
+    rows = spectral_rows(source.features.spectrum, target.features.spectrum, functional)
+    return (
+        np.hstack([rows[0], weight * embeddings[0]]).astype(np.float32),
+        np.hstack([rows[1], weight * embeddings[1]]).astype(np.float32),
+    )
+
+
+def pair_descriptors(source: Sampled, target: Sampled) -> Rows:
+    """Descriptors of the pair, standardised over both shapes, in their principal components.
+
+    Rows have a mean square of about nine at the most; NaN at vertices without a face.
+    """
+    values = [shape.features.values[shape.posed.sample].astype(float) for shape in (source, target)]
+    both = np.concatenate(values)
+    mean, deviation = np.nanmean(both, axis=0), np.nanstd(both, axis=0)
+    deviation[deviation == 0] = 1.0
+    width = np.sqrt(both.shape[1])
+
+    def standard(rows: FloatArray) -> FloatArray:
+        return np.clip((rows - mean) / deviation, -_LIMIT, _LIMIT) * (_LIMIT / width)
+
+    rows = standard(both)
+    rows = rows[np.isfinite(rows).all(axis=1)]
+    centre = rows.mean(axis=0)
+    _, axes = np.linalg.eigh((rows - centre).T @ (rows - centre))
+    axes = axes[:, -_COMPONENTS:]
+    return (
+        (standard(source.features.values) - centre) @ axes,
+        (standard(target.features.values) - centre) @ axes,
+    )
+
+
+def extrinsic_candidate(source: Posed, target: Posed) -> Candidate:
+    """The nearest points of a deformed source and the target, normals beside."""
+    rows = (
+        np.hstack([source.points, _NORMALS * source.normals]),
+        np.hstack([target.points, _NORMALS * target.normals]),
+    )
+    return Candidate("extrinsic", rows, rows, None)

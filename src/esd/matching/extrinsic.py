@@ -1,0 +1,310 @@
+"""Maps between shapes of one pose by alignment and smooth deformation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
+
+from esd.common import BoolArray, FloatArray, IntArray
+from esd.mesh.geometry import boundary_edges, vertex_areas, vertex_normals
+from esd.mesh.mesh import Mesh
+
+_NORMAL = 0.2  # weight of unit normals beside positions of unit root mean square radius
+_COARSE, _SAMPLES = 300, 1500  # vertices that starts are compared by, and that alignment takes
+_ROTATIONS = 8  # random starts beside the four of the principal axes
+_KEPT = 2  # starts that are aligned finely
+_TRIM = 0.8  # share of the correspondences nearer than which they count fully
+_CENTRES, _REACH = 60, 0.8  # of the Gaussian kernels that deform, in units of the radius
+_AMPLITUDE = 0.03  # expected displacement, in units of the radius
+_RESOLUTION = 0.01  # least residual that is believed, in units of the radius
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Posed:
+    """Vertices of a shape in a frame of its own, and those of them that alignment takes.
+
+    Parameters
+    ----------
+    points, normals : (n, 3)
+        Centred, of unit root mean square radius by area; unit normals.
+    usable : (n,)
+        Whether a vertex is a fair counterpart: no vertex at a boundary, and none of a filling.
+    sample : (s,)
+        Vertices drawn by area.
+    faces : (m, 3)
+        Of the mesh, for normals after deformation.
+    """
+
+    points: FloatArray
+    normals: FloatArray
+    usable: BoolArray
+    sample: IntArray
+    faces: IntArray
+
+    def keys(self) -> FloatArray:
+        """Rows (n, 6) by which nearest points are found: positions, and normals beside them."""
+        return np.hstack([self.points, _NORMAL * self.normals])
+
+    def moved(self, linear: FloatArray, shift: FloatArray) -> Posed:
+        """The shape after an affine motion."""
+        # normals move by the inverse transposed, which keeps them outside in reflections as well
+        normals = _unit(self.normals @ np.linalg.inv(linear))
+        return replace(self, points=self.points @ linear.T + shift, normals=normals)
+
+    def displaced(self, points: npt.NDArray[np.float64]) -> Posed:
+        """The shape with its vertices at other places."""
+        return replace(self, points=points, normals=_unit(vertex_normals(Mesh(points, self.faces))))
+
+
+def posed(mesh: Mesh, *, filling: BoolArray | None = None, seed: int = 0) -> Posed:
+    """A mesh centred and scaled, with a sample of its vertices.
+
+    Parameters
+    ----------
+    filling : (n,)
+        Vertices that fill holes, which take no part.
+    """
+    area = vertex_areas(mesh)
+    usable = np.ones(len(area), dtype=bool) if filling is None else ~filling
+    area = np.where(usable, area, 0.0)
+    usable[boundary_edges(mesh).ravel()] = False
+    area /= area.sum()
+    points = mesh.vertices - area @ mesh.vertices
+    points /= np.sqrt(area @ (points**2).sum(axis=1))
+    count = min(_SAMPLES, int(np.count_nonzero(area)))
+    sample = np.random.default_rng(seed).choice(len(area), count, replace=False, p=area)
+    return Posed(points, _unit(vertex_normals(mesh)), usable, sample, mesh.faces)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Alignment:
+    """A source moved onto a target.
+
+    Parameters
+    ----------
+    source
+        After the motion.
+    residual
+        Root mean squared distance to the target, normals included, in radii of the target;
+        about 0.05 for skulls of one species, 0.15 for people in different poses.
+    """
+
+    source: Posed
+    residual: float
+
+
+def aligned(
+    source: Posed,
+    target: Posed,
+    *,
+    maps: Sequence[IntArray] = (),
+    mirrored: bool = False,
+    seed: int = 0,
+) -> Alignment:
+    """The source moved onto the target by the affine motion that fits best.
+
+    Starts are the principal axes with their flips, random rotations, and the similarities that fit
+    given maps; each is followed by a similarity ICP of a few hundred points, the best by a trimmed
+    ICP of all samples, first by similarities, then by affine motions. Points at boundaries are no
+    counterparts.
+
+    Parameters
+    ----------
+    maps : (s,) each
+        Target vertices of the source's sample, of which a start is made each.
+    mirrored
+        Whether the motion reflects.
+
+    References
+    ----------
+    Besl, McKay 1992, *A method for registration of 3-D shapes*; Chetverikov et al. 2002, *The
+    trimmed iterative closest point algorithm*.
+    """
+    sign = -1.0 if mirrored else 1.0
+    rotations = [
+        (rotation, np.zeros(3))
+        for rotation in _rotations(source, target, mirrored=mirrored, seed=seed)
+    ]
+    fitted = [_robust_fit(source.points[source.sample], target.points[to], sign) for to in maps]
+    starts = [_followed(source, target, *start, sign) for start in (*rotations, *fitted)]
+    starts.sort(key=lambda found: found[0])
+    tree = KDTree(target.keys())
+    return min(
+        (_affine(source, target, tree, *start[1:], sign) for start in starts[:_KEPT]),
+        key=lambda alignment: alignment.residual,
+    )
+
+
+def deformed(
+    source: Posed,
+    target: Posed,
+    *,
+    rounds: int = 15,
+    amplitude: float = _AMPLITUDE,
+    reach: float = _REACH,
+    centres: int = _CENTRES,
+) -> Posed:
+    """An aligned source deformed smoothly onto the target.
+
+    The displacement is a Gaussian process: sums of Gaussian kernels, whose expected size is known
+    and whose residual is estimated in each round, so that shapes that fit already are left alone.
+
+    References
+    ----------
+    Myronenko, Song 2010, *Point set registration: coherent point drift*.
+    """
+    tree = KDTree(target.keys())
+    centre = source.points[source.sample][_spread(source.points[source.sample], centres)]
+
+    def kernel(points: FloatArray) -> FloatArray:
+        squared = ((points[:, None] - centre) ** 2).sum(axis=2)
+        return np.asarray(np.exp(-squared / (2 * reach**2)))
+
+    values, vectors = np.linalg.eigh(kernel(centre))
+    kept = values > 1e-6 * values[-1]
+    basis = kernel(source.points) @ (vectors[:, kept] / np.sqrt(values[kept]))  # (n, c)
+    result = source
+    for _ in range(rounds):
+        here, there, weight, _ = _pairs(result, target, tree)
+        gap = ((result.points[here] - target.points[there]) ** 2).sum(axis=1) / 3
+        variance = max(weight @ gap / weight.sum(), _RESOLUTION**2)
+        rows = basis[here]
+        normal = (rows * weight[:, None]).T @ rows
+        normal[np.diag_indices_from(normal)] += variance / amplitude**2
+        moments = (rows * weight[:, None]).T @ (target.points[there] - source.points[here])
+        result = result.displaced(source.points + basis @ np.linalg.solve(normal, moments))
+    return result
+
+
+def _unit(vectors: FloatArray) -> FloatArray:
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return vectors / np.maximum(length, np.finfo(float).tiny)
+
+
+def _rotations(source: Posed, target: Posed, *, mirrored: bool, seed: int) -> list[FloatArray]:
+    """Orthogonal matrices to start from."""
+    axes = [
+        np.linalg.svd(shape.points[shape.sample], full_matrices=False)[2]
+        for shape in (source, target)
+    ]
+    sign = -1.0 if mirrored else 1.0
+    found = []
+    for flips in ((1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)):
+        matrix = axes[1].T @ np.diag(flips) @ axes[0]
+        # the axes themselves may be left-handed: all three flipped are right-handed then
+        found.append(matrix if np.linalg.det(matrix) * sign > 0 else -matrix)
+    random = Rotation.random(_ROTATIONS, random_state=seed).as_matrix()
+    return [*found, *(rotation @ np.diag([sign, 1.0, 1.0]) for rotation in random)]
+
+
+def _robust_fit(
+    points: FloatArray, images: FloatArray, sign: float
+) -> tuple[FloatArray, FloatArray]:
+    """The similarity that takes most points to their images, by reweighted least squares."""
+    weight = np.ones(len(points))
+    for _ in range(10):
+        linear, shift = _fit(points, images, weight, sign=sign, affine=False)
+        miss = np.linalg.norm(points @ linear.T + shift - images, axis=1)
+        weight = 1 / (1 + (miss / max(float(np.median(miss)), 1e-9)) ** 2)
+    return linear, shift
+
+
+def _followed(
+    source: Posed,
+    target: Posed,
+    linear: FloatArray,
+    shift: FloatArray,
+    sign: float,
+    rounds: int = 12,
+) -> tuple[float, FloatArray, FloatArray]:
+    """Residual, matrix and shift of a similarity ICP of few points from a start."""
+    few, others = source.sample[:_COARSE], target.sample[:_COARSE]
+    keys = target.keys()[others]
+    tree = KDTree(keys)
+    part = replace(source, points=source.points[few], normals=source.normals[few])
+    every = np.arange(len(few))
+    for _ in range(rounds):
+        rows = part.moved(linear, shift).keys()
+        away, there = tree.query(rows)
+        back, here = KDTree(rows).query(keys)
+        distance = np.concatenate([away, back])
+        weight = 1.0 * (distance <= np.quantile(distance, 0.9)) + 1e-6
+        linear, shift = _fit(
+            part.points[np.concatenate([every, here])],
+            target.points[others][np.concatenate([there, np.arange(len(others))])],
+            weight,
+            sign=sign,
+            affine=False,
+        )
+    limit = np.quantile(distance, 0.95)
+    return float(np.sqrt((np.minimum(distance, limit) ** 2).mean())), linear, shift
+
+
+def _affine(
+    source: Posed,
+    target: Posed,
+    tree: KDTree,
+    linear: FloatArray,
+    shift: FloatArray,
+    sign: float,
+    rounds: int = 10,
+) -> Alignment:
+    for affine in (False,) * rounds + (True,) * rounds:
+        here, there, weight, distance = _pairs(source.moved(linear, shift), target, tree)
+        linear, shift = _fit(
+            source.points[here], target.points[there], weight, sign=sign, affine=affine
+        )
+    residual = float(np.sqrt(weight @ distance**2 / weight.sum()))
+    return Alignment(source.moved(linear, shift), residual)
+
+
+def _pairs(
+    source: Posed, target: Posed, tree: KDTree
+) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
+    """Source vertices, target vertices, weights and distances of nearest points, both ways."""
+    keys = source.keys()
+    away, there = tree.query(keys[source.sample])
+    back, here = KDTree(keys).query(target.keys()[target.sample])
+    one, two = target.usable[there], source.usable[here]
+    distance = np.concatenate([away[one], back[two]])
+    scale = max(float(np.quantile(distance, _TRIM)), np.finfo(float).tiny)
+    return (
+        np.concatenate([source.sample[one], here[two]]),
+        np.concatenate([there[one], target.sample[two]]),
+        1 / (1 + (distance / scale) ** 4),
+        distance,
+    )
+
+
+def _fit(
+    points: FloatArray, images: FloatArray, weight: FloatArray, *, sign: float, affine: bool
+) -> tuple[FloatArray, FloatArray]:
+    """Matrix and shift of the affine motion, or the similarity, that takes points to images."""
+    weight = weight / weight.sum()
+    middle, other = weight @ points, weight @ images
+    x, y = points - middle, images - other
+    if affine:
+        moment = (x * weight[:, None]).T @ x
+        moment[np.diag_indices(3)] += 1e-6 * np.trace(moment)
+        linear = np.linalg.solve(moment, (x * weight[:, None]).T @ y).T
+    else:  # Umeyama 1991
+        u, stretch, vt = np.linalg.svd((y * weight[:, None]).T @ x)
+        flips = np.array([1.0, 1.0, sign * np.sign(np.linalg.det(u @ vt))])
+        size = (stretch * flips).sum() / (weight @ (x**2).sum(axis=1))
+        linear = size * u @ np.diag(flips) @ vt
+    return linear, other - linear @ middle
+
+
+def _spread(points: FloatArray, count: int) -> IntArray:
+    """Some of the points, each the farthest from those before it."""
+    chosen = [0]
+    distance = ((points - points[0]) ** 2).sum(axis=1)
+    while len(chosen) < min(count, len(points)):
+        chosen.append(int(distance.argmax()))
+        distance = np.minimum(distance, ((points - points[chosen[-1]]) ** 2).sum(axis=1))
+    return np.array(chosen)

@@ -1,0 +1,63 @@
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from esd.matching.extrinsic import aligned, deformed, posed
+from esd.mesh.mesh import Mesh
+
+
+def bent(mesh: Mesh, amount: float) -> Mesh:
+    shift = np.sin(mesh.vertices[:, [1, 2, 0]] * 2 + np.arange(3))
+    return Mesh(mesh.vertices + amount * shift, mesh.faces)
+
+
+@pytest.fixture
+def potato(blob):
+    """No symmetry, three different axes."""
+    return bent(Mesh(blob.vertices * [1.0, 0.7, 0.5], blob.faces), 0.15)
+
+
+def test_an_affine_copy_is_aligned_exactly(potato):
+    motion = Rotation.from_euler("xyz", [2.0, -1.0, 0.5]).as_matrix() @ np.diag([1.1, 1.0, 0.9])
+    other = Mesh(3 * potato.vertices @ motion.T + [5, -2, 1], potato.faces)
+    source, target = posed(potato, seed=1), posed(other, seed=2)
+    found = aligned(source, target)
+    assert found.residual < 1e-3  # of the radius; two samples of the same points
+    np.testing.assert_allclose(found.source.points, target.points, atol=5e-3)
+    # shapes that fit are left alone
+    left = deformed(found.source, target)
+    np.testing.assert_allclose(left.points, found.source.points, atol=5e-3)
+
+
+def test_a_mirror_image_is_aligned_by_a_reflection_only(potato):
+    mirrored = Mesh(potato.vertices * [-1, 1, 1], potato.faces[:, ::-1])
+    shapes = posed(potato), posed(mirrored)
+    plain, reflected = (aligned(*shapes, mirrored=flag) for flag in (False, True))
+    assert reflected.residual < 1e-2
+    assert plain.residual > 5 * reflected.residual
+
+
+def test_given_maps_are_starts(potato):
+    turn = Rotation.from_euler("xyz", [2.0, -1.0, 0.5]).as_matrix()
+    shapes = posed(potato), posed(Mesh(potato.vertices @ turn.T, potato.faces))
+    found = aligned(*shapes, maps=[shapes[0].sample])
+    np.testing.assert_allclose(found.source.points, shapes[1].points, atol=1e-3)
+
+
+def test_deformation_brings_a_bent_shape_nearer(potato):
+    other = bent(potato, 0.06)
+    source, target = posed(potato), posed(other)
+    alignment = aligned(source, target)
+    before, after = (
+        np.linalg.norm(shape.points - target.points, axis=1).mean()
+        for shape in (alignment.source, deformed(alignment.source, target))
+    )
+    assert after < 0.7 * before
+
+
+def test_boundaries_and_fillings_take_no_part(potato):
+    opened = Mesh(potato.vertices, potato.faces[50:])
+    filling = np.arange(len(potato.vertices)) >= len(potato.vertices) - 20
+    shape = posed(opened, filling=filling)
+    assert not shape.usable.all()
+    assert not filling[shape.sample].any()
