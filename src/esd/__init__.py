@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from esd.mesh.repair.repair import repair as repair
     from esd.viewing.page import view as view
 
-__version__ = "0.1.0.dev0"
+__version__ = "0.2.0.dev0"
 
 _HOMES = {
     "Correspondence": "esd.matching.correspondence",

@@ -16,9 +16,17 @@ FloatArray: TypeAlias = npt.NDArray[np.floating[Any]]
 IntArray: TypeAlias = npt.NDArray[np.int64]
 BoolArray: TypeAlias = npt.NDArray[np.bool_]
 
+DISTRIBUTION = "embedded-spectral-descriptors"
+"""What pip installs; `esd` on PyPI is another package."""
+
 
 class InputError(ValueError):
     """Input that cannot be used; the message says what was expected, what came, what to do."""
+
+
+def install_hint(extra: str) -> str:
+    """Command that installs the optional dependencies `extra` (`train`, `viz`, …)."""
+    return f"pip install '{DISTRIBUTION}[{extra}]'"
 
 
 @contextlib.contextmanager

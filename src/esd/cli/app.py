@@ -24,7 +24,7 @@ from esd.cli.spectrum import spectrum
 from esd.cli.train import train
 from esd.cli.transfer import transfer
 from esd.cli.view import view
-from esd.common import InputError
+from esd.common import InputError, install_hint
 
 _log = logging.getLogger(__name__)
 
@@ -107,7 +107,7 @@ def main() -> None:
         extra = extras.get(error.name or "")
         if extra is None:
             raise
-        _fail(f"This needs {error.name}: pip install 'esd[{extra}]'.")
+        _fail(f"This needs {error.name}: {install_hint(extra)}.")
     except OSError as error:
         _fail(str(error))
     except MemoryError:

@@ -26,7 +26,7 @@ def doctor(
     as_json: Annotated[bool, typer.Option("--json", help="Print the findings as JSON.")] = False,
 ) -> None:
     """Tell what is wrong with MESH, how bad it is, what it does to results, what can be done."""
-    from esd.common import InputError
+    from esd.common import InputError, install_hint
     from esd.mesh.convert import as_arrays
     from esd.mesh.io.meshes import write_mesh
     from esd.mesh.mesh import Mesh
@@ -72,9 +72,7 @@ def doctor(
         if not findings:
             typer.echo("  nothing wrong")
         if not summary["self_intersections_checked"] and diagnosis.faces:
-            typer.echo(
-                "  Faces that cut through each other are found with pip install 'esd[doctor]'."
-            )
+            typer.echo(f"  To find faces that cut through each other: {install_hint('doctor')}.")
     if repair is not None:
         done = repaired(arrays, everything=True).compacted()
         if not isinstance(done.shape, Mesh):

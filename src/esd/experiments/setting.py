@@ -11,6 +11,7 @@ from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+from esd.common import DISTRIBUTION
 from esd.datasets.collection import Collection
 from esd.learning.fit import fit
 from esd.learning.model import Model, load_model, save_model
@@ -22,7 +23,7 @@ KINDS = ("gps", "hks", "wks")
 """The descriptors of the paper, in the order of its tables."""
 
 _QUICK_STEPS = 1000
-_PACKAGES = ("esd", "numpy", "scipy", "torch")
+_PACKAGES = (DISTRIBUTION, "numpy", "scipy", "torch")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

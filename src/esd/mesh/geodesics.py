@@ -9,7 +9,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import csgraph
 
-from esd.common import FloatArray, InputError, IntArray
+from esd.common import FloatArray, InputError, IntArray, install_hint
 from esd.mesh.geometry import edges, is_referenced
 from esd.mesh.mesh import Mesh
 
@@ -144,7 +144,7 @@ def geodesic_distances(mesh: Mesh, sources: IntArray, *, exact: bool = False) ->
     try:
         from pygeodesic import geodesic
     except ImportError as error:
-        raise InputError("Exact geodesics need pygeodesic: pip install 'esd[exact]'.") from error
+        raise InputError(f"Exact geodesics need pygeodesic: {install_hint('exact')}.") from error
     algorithm = geodesic.PyGeodesicAlgorithmExact(mesh.vertices, mesh.faces)
     everywhere = np.arange(len(mesh.vertices), dtype=np.int32)
     rows = [
