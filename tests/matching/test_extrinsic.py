@@ -40,7 +40,7 @@ def test_a_mirror_image_is_aligned_by_a_reflection_only(potato):
 def test_given_maps_are_starts(potato):
     turn = Rotation.from_euler("xyz", [2.0, -1.0, 0.5]).as_matrix()
     shapes = posed(potato), posed(Mesh(potato.vertices @ turn.T, potato.faces))
-    found = aligned(*shapes, maps=[shapes[0].sample])
+    found = aligned(*shapes, matches=[(shapes[0].sample, shapes[0].sample)], search=False)
     np.testing.assert_allclose(found.source.points, shapes[1].points, atol=1e-3)
 
 

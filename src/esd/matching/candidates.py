@@ -29,6 +29,13 @@ CANDIDATES = {
 }
 """Names of the candidates, and what each is."""
 
+LANDMARK_CANDIDATES = {
+    "landmarks+embedding": "distances to the landmarks, beside embeddings of the model",
+    "landmarks+descriptors": "distances to the landmarks, beside descriptors of the pair",
+    "landmarks+extrinsic": "alignment by the landmarks and smooth deformation",
+}
+"""Names of the candidates where landmarks are given, and what each is."""
+
 _FROM_NOTHING = (8, 14, 20, 30, 45, 60)  # eigenfunctions: few first, so that limbs are sorted out
 FROM_POSE = (20, 30, 45, 60)
 """Eigenfunctions of the refinement of a map that is about right."""
@@ -190,10 +197,10 @@ def pair_descriptors(source: Sampled, target: Sampled) -> Rows:
     )
 
 
-def extrinsic_candidate(source: Posed, target: Posed) -> Candidate:
+def extrinsic_candidate(source: Posed, target: Posed, *, name: str = "extrinsic") -> Candidate:
     """The nearest points of a deformed source and the target, normals beside."""
     rows = (
         np.hstack([source.points, _NORMALS * source.normals]),
         np.hstack([target.points, _NORMALS * target.normals]),
     )
-    return Candidate("extrinsic", rows, rows, None)
+    return Candidate(name, rows, rows, None)

@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from esd.common import InputError
+import numpy as np
+
+from esd.common import InputError, IntArray
 from esd.matching.candidates import (
     CANDIDATES,
     FROM_POSE,
+    LANDMARK_CANDIDATES,
     Candidate,
     Rows,
     Sampled,
@@ -20,6 +23,7 @@ from esd.matching.candidates import (
 from esd.matching.extrinsic import Alignment, aligned, deformed
 from esd.matching.features import Features
 from esd.matching.judge import Evidence, accuracy, cost, evidence
+from esd.matching.landmarks import contradicted, landmark_candidates
 from esd.nearest import nearest
 from esd.parallel import side_by_side
 
@@ -39,25 +43,37 @@ class Choice:
         Of it.
     costs
         Of all that were computed, by name; the least is best.
+    contradicted
+        Indices of the landmarks that the others contradict.
     """
 
     candidate: Candidate
     evidence: Evidence
     costs: dict[str, float]
+    contradicted: IntArray
 
 
-def check_candidates(names: Sequence[str]) -> tuple[str, ...]:
-    """The names, if all are of `CANDIDATES`; raises an `InputError` otherwise."""
-    unknown = [name for name in names if name not in CANDIDATES]
+def check_candidates(names: Sequence[str], *, landmarks: bool = False) -> tuple[str, ...]:
+    """The names, if all are of `CANDIDATES`, or, with landmarks, of `LANDMARK_CANDIDATES` too.
+
+    Raises
+    ------
+    InputError
+        If a name is unknown, or there is none.
+    """
+    known = CANDIDATES | LANDMARK_CANDIDATES if landmarks else CANDIDATES
+    unknown = [name for name in names if name not in known]
     if unknown or not names:
-        raise InputError(
-            f"Candidates are {', '.join(CANDIDATES)}; got {', '.join(unknown) or 'none'}."
-        )
+        raise InputError(f"Candidates are {', '.join(known)}; got {', '.join(unknown) or 'none'}.")
     return tuple(dict.fromkeys(names))
 
 
 def chosen(
-    source: Features, target: Features, *, names: Sequence[str] = tuple(CANDIDATES)
+    source: Features,
+    target: Features,
+    *,
+    names: Sequence[str] | None = None,
+    landmarks: IntArray | None = None,
 ) -> Choice:
     """The candidate of least cost, see `esd.matching.judge`.
 
@@ -65,12 +81,22 @@ def chosen(
     them are starts of the alignment as well. Where one of them is sure and the alignment shows
     that the shapes are of different poses, that is all.
 
+    Parameters
+    ----------
+    names
+        Of the candidates; by default those of `LANDMARK_CANDIDATES` if there are landmarks, else
+        all of `CANDIDATES`.
+    landmarks : (l, 2)
+        Vertices of both shapes that correspond. Those that the others contradict are left out.
+
     Raises
     ------
     InputError
         If a name is unknown.
     """
-    names = check_candidates(names)
+    if names is None:
+        names = tuple(CANDIDATES if landmarks is None else LANDMARK_CANDIDATES)
+    names = check_candidates(names, landmarks=landmarks is not None)
     shapes = side_by_side(sampled, (source, target))
     descriptors = pair_descriptors(shapes[0], shapes[1])
     rows = {"embedding": (source.embedded, target.embedded), "descriptors": descriptors}
@@ -83,6 +109,13 @@ def chosen(
         shapes,
         descriptors,
     )
+    doubtful: IntArray = np.zeros(0, dtype=np.int64)
+    if landmarks is not None:
+        doubtful = contradicted(shapes[0], shapes[1], landmarks, descriptors)
+        sound = np.delete(landmarks, doubtful, axis=0)
+        found += _judged(
+            landmark_candidates(shapes[0], shapes[1], sound, rows, names), shapes, descriptors
+        )
     if any(name.startswith("extrinsic") for name in names):
         alignment = _aligned(shapes, [candidate for candidate, _ in found])
         sure = any(accuracy(each) >= _SURE for _, each in found)
@@ -90,16 +123,17 @@ def chosen(
             found += _judged(_extrinsic(shapes, alignment, rows, names), shapes, descriptors)
     costs = {candidate.name: cost(each) for candidate, each in found}
     best = min(found, key=lambda each: costs[each[0].name])
-    return Choice(*best, costs)
+    return Choice(*best, costs, doubtful)
 
 
 def _aligned(shapes: Sequence[Sampled], candidates: Sequence[Candidate]) -> Alignment:
     """The source on the target, from the candidates' maps among other starts."""
     source, target = shapes
-    maps = [
-        nearest(each.forward[0][source.posed.sample], each.forward[1])[0] for each in candidates
+    sample = source.posed.sample
+    matches = [
+        (sample, nearest(each.forward[0][sample], each.forward[1])[0]) for each in candidates
     ]
-    return aligned(source.posed, target.posed, maps=maps)
+    return aligned(source.posed, target.posed, matches=matches)
 
 
 def _extrinsic(

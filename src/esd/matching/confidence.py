@@ -53,12 +53,18 @@ class Judgement:
     costs
         Of the candidates that the map was chosen from, by name, see `esd.matching.judge`; the
         least is best. Empty where there was no choice.
+    is_mirrored
+        Whether the source was mirrored before it was matched.
+    contradicted
+        Indices of the landmarks that the others contradict, and that were left out.
     """
 
     verdict: Verdict
     expected_accuracy: float
     orientation: float
     costs: Mapping[str, float] = field(default_factory=dict)
+    is_mirrored: bool = False
+    contradicted: tuple[int, ...] = ()
 
     @property
     def candidate(self) -> str | None:

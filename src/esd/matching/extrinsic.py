@@ -21,6 +21,7 @@ _KEPT = 2  # starts that are aligned finely
 _TRIM = 0.8  # share of the correspondences nearer than which they count fully
 _CENTRES, _REACH = 60, 0.8  # of the Gaussian kernels that deform, in units of the radius
 _AMPLITUDE = 0.03  # expected displacement, in units of the radius
+_LANDMARK = 10.0  # weight of a landmark beside that of a nearest point
 _RESOLUTION = 0.01  # least residual that is believed, in units of the radius
 
 
@@ -102,21 +103,24 @@ def aligned(
     source: Posed,
     target: Posed,
     *,
-    maps: Sequence[IntArray] = (),
+    matches: Sequence[tuple[IntArray, IntArray]] = (),
+    search: bool = True,
     mirrored: bool = False,
     seed: int = 0,
 ) -> Alignment:
     """The source moved onto the target by the affine motion that fits best.
 
     Starts are the principal axes with their flips, random rotations, and the similarities that fit
-    given maps; each is followed by a similarity ICP of a few hundred points, the best by a trimmed
-    ICP of all samples, first by similarities, then by affine motions. Points at boundaries are no
-    counterparts.
+    given matches. A similarity ICP of a few hundred points follows each; a trimmed ICP of all
+    samples, first by similarities, then by affine motions, follows the best. Points at boundaries
+    are no counterparts.
 
     Parameters
     ----------
-    maps : (s,) each
-        Target vertices of the source's sample, of which a start is made each.
+    matches
+        Pairs of source vertices and target vertices, (l,) each, of which a start is made each.
+    search
+        Whether there are other starts than those of the matches.
     mirrored
         Whether the motion reflects.
 
@@ -129,8 +133,11 @@ def aligned(
     rotations = [
         (rotation, np.zeros(3))
         for rotation in _rotations(source, target, mirrored=mirrored, seed=seed)
+        if search
     ]
-    fitted = [_robust_fit(source.points[source.sample], target.points[to], sign) for to in maps]
+    fitted = [
+        _robust_fit(source.points[here], target.points[there], sign) for here, there in matches
+    ]
     starts = [_followed(source, target, *start, sign) for start in (*rotations, *fitted)]
     starts.sort(key=lambda found: found[0])
     tree = KDTree(target.keys())
@@ -144,6 +151,7 @@ def deformed(
     source: Posed,
     target: Posed,
     *,
+    landmarks: tuple[IntArray, IntArray] | None = None,
     rounds: int = 15,
     amplitude: float = _AMPLITUDE,
     reach: float = _REACH,
@@ -153,6 +161,11 @@ def deformed(
 
     The displacement is a Gaussian process: sums of Gaussian kernels, whose expected size is known
     and whose residual is estimated in each round, so that shapes that fit already are left alone.
+
+    Parameters
+    ----------
+    landmarks : (l,) and (l,)
+        Source vertices and target vertices that should meet.
 
     References
     ----------
@@ -171,6 +184,11 @@ def deformed(
     result = source
     for _ in range(rounds):
         here, there, weight, _ = _pairs(result, target, tree)
+        if landmarks is not None:
+            here, there = (
+                np.concatenate(ends) for ends in zip((here, there), landmarks, strict=True)
+            )
+            weight = np.append(weight, np.full(len(landmarks[0]), _LANDMARK))
         gap = ((result.points[here] - target.points[there]) ** 2).sum(axis=1) / 3
         variance = max(weight @ gap / weight.sum(), _RESOLUTION**2)
         rows = basis[here]

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
-from esd.common import BoolArray, FloatArray, IntArray
+from esd.common import BoolArray, FloatArray, InputError, IntArray
 from esd.descriptors.recipe import recipe_spectrum, spectrum_descriptors
 from esd.learning.model import Model
 from esd.learning.patches import patch_operator
@@ -53,10 +53,53 @@ class Features:
     filling: int = 0
     copy: CoarseCopy | None = None
 
+    def located(self, vertices: IntArray) -> IntArray:
+        """The vertices of the shape, (l,), at some original ones; -1 for those left out."""
+        repaired = self.vertex_index[vertices]
+        if self.copy is None:
+            return repaired
+        corner = np.nan_to_num(self.copy.barycentric[repaired]).argmax(axis=1)
+        face = self.copy.face[repaired]
+        nearest = self.copy.mesh.faces[face, corner]
+        return np.where((repaired >= 0) & (face >= 0), nearest, -1)
+
     def is_filling(self) -> BoolArray:
         """Whether each vertex of the repaired mesh fills a hole, (r,)."""
         count = len(self.original_index)
         return np.arange(count) >= count - self.filling
+
+
+def reflected(features: Features, *, model: Model) -> Features:
+    """Features of the mirror image of a mesh: the same spectrum, odd descriptors negated.
+
+    Parameters
+    ----------
+    model
+        That the features are by.
+
+    Raises
+    ------
+    InputError
+        If there are no faces, whose orientation a mirror image is of, or the model is
+        convolutional.
+    """
+    if isinstance(features.shape, PointCloud) or model.patches is not None:
+        raise InputError("Only meshes are mirrored, and not with convolutional models.")
+    widths = [part.count for part in model.recipe.descriptors]
+    is_odd = np.repeat([part.kind == "chirality" for part in model.recipe.descriptors], widths)
+    values = np.where(is_odd, -features.values, features.values)
+    # mirrored in x; faces are reversed, so that their normals still point outward
+    mesh = Mesh(features.shape.vertices * [-1.0, 1.0, 1.0], features.shape.faces[:, ::-1])
+    copy = features.copy
+    if copy is not None:
+        copy = replace(copy, mesh=mesh, vertices=copy.vertices * [-1.0, 1.0, 1.0])
+    return replace(
+        features,
+        shape=mesh,
+        values=values,
+        embedded=model.embed(values.astype(np.float64)),
+        copy=copy,
+    )
 
 
 def shape_features(

@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Literal, TypeAlias
 
 import numpy as np
 
 from esd.common import FloatArray, InputError, IntArray
 from esd.learning.model import Model, load_model
 from esd.matching.assignment import one_to_one as assignment
-from esd.matching.candidates import CANDIDATES, Candidate, Rows
-from esd.matching.choice import check_candidates, chosen
+from esd.matching.candidates import Candidate, Rows
+from esd.matching.choice import Choice, check_candidates, chosen
 from esd.matching.confidence import confidence, judgement
 from esd.matching.correspondence import Correspondence
-from esd.matching.features import Features, shape_features
+from esd.matching.features import Features, reflected, shape_features
+from esd.matching.judge import accuracy
+from esd.matching.landmarks import check_landmarks
 from esd.matching.refine import SIZES, joint_rows, mean_squared_distance, zoomout
 from esd.mesh.convert import MeshLike
 from esd.mesh.geometry import is_referenced
@@ -35,6 +38,10 @@ DEFAULT_MODEL = "default"
 DENSE = 50_000
 """Number of vertices beyond which a map by way of coarse copies is advised."""
 
+Mirror: TypeAlias = Literal["auto", "yes", "no"]
+
+_SURE = 0.9  # expected accuracy beyond which a mirror image is not tried
+_CLEARLY = 1.0  # least difference of costs, log-odds, by which a mirror image is taken
 _BACK_SIZES = (60, 160)  # of the map back, which only serves to judge the map
 
 
@@ -46,6 +53,8 @@ def match(
     refine: bool | None = None,
     one_to_one: bool = False,
     candidates: Sequence[str] | None = None,
+    landmarks: IntArray | None = None,
+    mirror: Mirror = "auto",
     coarse: int | None = None,
     cache: Cache | None = None,
 ) -> Correspondence:
@@ -67,6 +76,12 @@ def match(
     candidates
         Names of the maps to choose from, see `esd.matching.candidates.CANDIDATES`; by default all
         if the map is refined, else nearest embeddings alone.
+    landmarks : (l, 2) int
+        Source vertices and target vertices that correspond, three or more; they may be some edges
+        off. Those that the others contradict are logged and left out.
+    mirror
+        Whether the source is mirrored before it is matched: left hands to right ones. With `auto`,
+        it is where the mirror image fits clearly better, see `Judgement.is_mirrored`.
     coarse
         For dense meshes: number of vertices of the copies, remeshed, that are matched in their
         place; the map is carried to all vertices, see `esd.matching.dense`. Ten thousand do.
@@ -80,7 +95,7 @@ def match(
     """
     check_copies(one_to_one=one_to_one, coarse=coarse)
     if candidates is not None:
-        check_candidates(candidates)
+        check_candidates(candidates, landmarks=landmarks is not None)
     model = model if isinstance(model, Model) else load_model(model)
     cache = default_cache() if cache is None else cache
     shapes = repair(source, restore=True), repair(target, restore=True)
@@ -104,6 +119,8 @@ def match(
         refine=refine,
         one_to_one=one_to_one,
         candidates=candidates,
+        landmarks=landmarks,
+        mirror=mirror,
     )
     for name, each in zip(("source", "target"), shapes, strict=True):
         if each.in_a_line():
@@ -125,6 +142,8 @@ def match_features(
     refine: bool | None = None,
     one_to_one: bool = False,
     candidates: Sequence[str] | None = None,
+    landmarks: IntArray | None = None,
+    mirror: Mirror = "auto",
 ) -> Correspondence:
     """As `match`, of the features of a source and a target by the model."""
     found = match_repaired(
@@ -134,6 +153,8 @@ def match_features(
         refine=refine,
         one_to_one=one_to_one,
         candidates=candidates,
+        landmarks=landmarks,
+        mirror=mirror,
     )
     return _for_original_vertices(found, source, target)
 
@@ -146,22 +167,42 @@ def match_repaired(
     refine: bool | None = None,
     one_to_one: bool = False,
     candidates: Sequence[str] | None = None,
+    landmarks: IntArray | None = None,
+    mirror: Mirror = "auto",
 ) -> Correspondence:
     """As `match_features`, between the vertices of the repaired shapes."""
     refine = model.is_oriented if refine is None else refine
     is_mesh = isinstance(source.shape, Mesh) and isinstance(target.shape, Mesh)
     costs: dict[str, float] = {}
-    if is_mesh and (refine or candidates):
-        choice = chosen(source, target, names=candidates or tuple(CANDIDATES))
-        costs = choice.costs
+    contradicted: tuple[int, ...] = ()
+    is_mirrored = False
+    if is_mesh and (refine or candidates or landmarks is not None or mirror == "yes"):
+        used = np.zeros(0, dtype=np.int64)
+        if landmarks is not None:
+            landmarks, used = _located(landmarks, source, target)
+        choice, is_mirrored = _mirror_chosen(
+            source, target, model=model, names=candidates, landmarks=landmarks, mirror=mirror
+        )
+        if is_mirrored:
+            source = reflected(source, model=model)
+        costs, contradicted = choice.costs, tuple(used[choice.contradicted].tolist())
         maps = _full_maps(source, target, choice.candidate, refine=refine, device=model.device)
+    elif landmarks is not None or mirror == "yes":
+        raise InputError("Landmarks and mirror images need meshes; these are points.")
     else:
         maps = _nearest_maps(source, target, refine=refine, device=model.device)
     is_dense = source.copy is not None and target.copy is not None
     rows = maps.rows() if one_to_one or is_dense else (source.embedded, target.embedded)
     index = assignment(*rows) if one_to_one else maps.index
     found = with_similarity(source.embedded, target.embedded, index, margin=model.margin)
-    found = _judged(found, maps.back, source, target, costs)
+    found = _judged(found, maps.back, source, target)
+    if found.judgement is not None:
+        found = replace(
+            found,
+            judgement=replace(
+                found.judgement, costs=costs, is_mirrored=is_mirrored, contradicted=contradicted
+            ),
+        )
     if source.copy is not None and target.copy is not None:
         from esd.matching.dense import carried_to_dense  # with trimesh, which is slow to import
         from esd.matching.precise import precise_map
@@ -169,6 +210,40 @@ def match_repaired(
         image = precise_map(*rows, target.copy.mesh.faces, found.target_index)
         found = carried_to_dense(found, image, source.copy, target.copy)
     return found
+
+
+def _located(landmarks: IntArray, source: Features, target: Features) -> tuple[IntArray, IntArray]:
+    """Landmarks at original vertices as vertices of the shapes, and which of them these are."""
+    landmarks = check_landmarks(landmarks, len(source.vertex_index), len(target.vertex_index))
+    here, there = source.located(landmarks[:, 0]), target.located(landmarks[:, 1])
+    found = (here >= 0) & (there >= 0)
+    if not found.all():
+        _log.warning("%d landmarks lie on parts that repair dropped.", np.count_nonzero(~found))
+    pairs = np.stack([here, there], axis=1)[found]
+    pairs = check_landmarks(pairs, len(source.shape.vertices), len(target.shape.vertices))
+    return pairs, np.flatnonzero(found)
+
+
+def _mirror_chosen(
+    source: Features,
+    target: Features,
+    *,
+    model: Model,
+    names: Sequence[str] | None,
+    landmarks: IntArray | None,
+    mirror: Mirror,
+) -> tuple[Choice, bool]:
+    """The best candidate for the source or for its mirror image, and whether it is for that."""
+    plain = None
+    if mirror != "yes":
+        plain = chosen(source, target, names=names, landmarks=landmarks)
+        sure = accuracy(plain.evidence) >= _SURE
+        if mirror == "no" or sure or model.patches is not None:
+            return plain, False
+    other = chosen(reflected(source, model=model), target, names=names, landmarks=landmarks)
+    if plain is not None and min(other.costs.values()) > min(plain.costs.values()) - _CLEARLY:
+        return plain, False
+    return other, True
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -222,7 +297,6 @@ def _judged(
     back: IntArray,
     source: Features,
     target: Features,
-    costs: Mapping[str, float],
 ) -> Correspondence:
     """The map with its confidence and a judgement; points without faces give no evidence."""
     if isinstance(source.shape, PointCloud) or isinstance(target.shape, PointCloud):
@@ -240,7 +314,7 @@ def _judged(
         counted=counted,
         turned_over=source.is_turned != target.is_turned,
     )
-    return replace(match, confidence=values, judgement=replace(verdict, costs=costs))
+    return replace(match, confidence=values, judgement=verdict)
 
 
 def _for_original_vertices(

@@ -1,0 +1,157 @@
+"""Maps from a few landmarks: points that are known to correspond, clicked some edges off."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from esd.common import FloatArray, InputError, IntArray
+from esd.matching.candidates import (
+    Candidate,
+    Rows,
+    Sampled,
+    extrinsic_candidate,
+    spectral_candidate,
+)
+from esd.matching.extrinsic import aligned, deformed
+from esd.mesh.geodesics import geodesic_graph
+from esd.mesh.geometry import surface_area
+from esd.mesh.mesh import Mesh
+from esd.nearest import nearest
+
+FEWEST = 3
+"""Number of landmarks that are needed."""
+
+_NEAR = 0.05  # in √area: distances to a landmark below this count as about the same
+_WEIGHT = 3.0  # of rows of landmarks
+_EMBEDDING_WEIGHT = 0.3  # of embeddings beside them, which have unit length
+_DESCRIPTOR_WEIGHT = 0.3  # of descriptors beside them, whose length is about three
+_FOLDS = 12  # maps that are computed to find landmarks that the others contradict
+_FEWEST_TO_DOUBT = 5  # landmarks, of fewer than which none can be contradicted
+_ASTRAY, _TIMES = 0.2, 4.0  # in √area, and in medians, beyond which a landmark is contradicted
+
+
+def check_landmarks(landmarks: IntArray, source_count: int, target_count: int) -> IntArray:
+    """Pairs of vertices, (l, 2) int64, three or more.
+
+    Raises
+    ------
+    InputError
+        If they are not so.
+    """
+    landmarks = np.asarray(landmarks)
+    if landmarks.ndim != 2 or landmarks.shape[1] != 2 or landmarks.dtype.kind not in "iu":
+        raise InputError(
+            "Landmarks must be pairs of vertices, integers of shape (l, 2); "
+            f"got {landmarks.dtype} {landmarks.shape}."
+        )
+    for name, column, count in zip(
+        ("source", "target"), landmarks.T, (source_count, target_count), strict=True
+    ):
+        if len(column) and not 0 <= column.min() <= column.max() < count:
+            raise InputError(
+                f"Landmarks of the {name} must be vertices from 0 to {count - 1}; "
+                f"got {column.min()} to {column.max()}."
+            )
+    different = len(np.unique(landmarks, axis=0))
+    if different < FEWEST:
+        raise InputError(f"{FEWEST} different landmarks or more are needed; got {different}.")
+    return landmarks.astype(np.int64)
+
+
+def landmark_rows(mesh: Mesh, vertices: IntArray) -> FloatArray:
+    """Rows (n, l) of unit length that say how near each vertex is to each landmark.
+
+    1 / (d + 0.05) for the geodesic distance d in units of √area; zero where there is no way.
+
+    Parameters
+    ----------
+    vertices : (l,)
+        The landmarks.
+    """
+    distance = geodesic_graph(mesh).distances(vertices).T / np.sqrt(surface_area(mesh))
+    rows = 1 / (distance + _NEAR)
+    length = np.linalg.norm(rows, axis=1, keepdims=True)
+    return np.asarray(rows / np.where(length > 0, length, 1.0))
+
+
+def landmark_candidates(
+    source: Sampled,
+    target: Sampled,
+    landmarks: IntArray,
+    rows: dict[str, Rows],
+    names: Sequence[str],
+) -> list[Candidate]:
+    """The candidates that landmarks give, of those named.
+
+    Parameters
+    ----------
+    landmarks : (l, 2)
+        Vertices of the shapes.
+    rows
+        Embeddings and descriptors of all vertices, by name.
+    """
+    found = []
+    beside = _beside(source, target, landmarks, rows)
+    for name, embeddings in beside.items():
+        if f"landmarks+{name}" in names:
+            found.append(spectral_candidate(f"landmarks+{name}", source, target, embeddings))
+    if "landmarks+extrinsic" in names:
+        pairs = landmarks[:, 0], landmarks[:, 1]
+        alignment = aligned(source.posed, target.posed, matches=[pairs], search=False)
+        moved = deformed(alignment.source, target.posed, landmarks=pairs)
+        found.append(extrinsic_candidate(moved, target.posed, name="landmarks+extrinsic"))
+    return found
+
+
+def contradicted(
+    source: Sampled, target: Sampled, landmarks: IntArray, descriptors: Rows
+) -> IntArray:
+    """Which landmarks, as indices, the others contradict.
+
+    Each is left out of a map in turn (many in groups), and is compared with where that map sends
+    it. Of fewer than five landmarks none can be contradicted.
+    """
+    count = len(landmarks)
+    if count < _FEWEST_TO_DOUBT:
+        return np.zeros(0, dtype=np.int64)
+    fold = np.arange(count) % min(count, _FOLDS)
+    whole = _beside(source, target, landmarks, {"descriptors": descriptors})["descriptors"]
+    graph = geodesic_graph(_mesh(target))
+    miss = np.empty(count)
+    for left_out in np.unique(fold):
+        used = fold != left_out
+        # rows of the landmarks that are used, of unit length again
+        columns = np.concatenate([used, np.ones(whole[0].shape[1] - count, dtype=bool)])
+        embeddings = whole[0][:, columns], whole[1][:, columns]
+        candidate = spectral_candidate("landmarks", source, target, embeddings)
+        out = np.flatnonzero(~used)
+        image = nearest(candidate.forward[0][landmarks[out, 0]], candidate.forward[1])[0]
+        distance = graph.distances(landmarks[out, 1])
+        miss[out] = distance[np.arange(len(out)), image]
+    miss /= np.sqrt(surface_area(_mesh(target)))
+    return np.flatnonzero(miss > max(_ASTRAY, _TIMES * float(np.median(miss))))
+
+
+def _beside(
+    source: Sampled, target: Sampled, landmarks: IntArray, rows: dict[str, Rows]
+) -> dict[str, Rows]:
+    """Rows of landmarks with others beside them, of both shapes, by the name of the others."""
+    near = [
+        _WEIGHT * landmark_rows(_mesh(shape), column)
+        for shape, column in zip((source, target), landmarks.T, strict=True)
+    ]
+    weights = {"embedding": _EMBEDDING_WEIGHT, "descriptors": _DESCRIPTOR_WEIGHT}
+    return {
+        name: (
+            np.hstack([near[0], weights[name] * each[0]]),
+            np.hstack([near[1], weights[name] * each[1]]),
+        )
+        for name, each in rows.items()
+    }
+
+
+def _mesh(shape: Sampled) -> Mesh:
+    assert isinstance(shape.features.shape, Mesh)
+    return shape.features.shape
