@@ -99,7 +99,7 @@ def test_a_cluster_matches_and_evaluates_as_one_process_does(cluster, shapes, tm
     figures, maps = [], []
     for folder, how in (("there", ["--scheduler", address]), ("here", ["--workers", "1"])):
         (tmp_path / folder).mkdir()
-        command = [*esd, "match", "--batch", "pairs.csv", "-m", "gps", "-o", folder, *how]
+        command = [*esd, "batch", "pairs.csv", "-m", "gps", "-o", folder, *how]
         with started(command, tmp_path) as process:
             assert process.wait() == 0, (tmp_path / "log").read_text()
         maps.append([path.read_bytes() for path in sorted((tmp_path / folder).glob("*.csv"))])

@@ -194,11 +194,33 @@ def test_sequences_are_listed_and_selected(tmp_path):
 def test_a_batch_of_pairs(shapes, tmp_path):
     pairs = shapes / "pairs.csv"
     pairs.write_text("source,target\ntr_reg_000.off,tr_reg_010.off\ntr_reg_010.off,no.off\n")
-    done = run("match", "--batch", pairs, "-m", "hks", "-o", tmp_path, "--workers", 2, expect=1)
+    done = run("batch", pairs, "-m", "hks", "-o", tmp_path, "--workers", 2, expect=1)
     assert "no.off" in done.stdout
     assert "1 of 2 pairs matched" in done.stdout
     assert done.stderr == "esd: 1 of 2 pairs failed; the other maps are written.\n"
     assert len((tmp_path / "tr_reg_000-tr_reg_010.csv").read_text().splitlines()) == 385
-    assert "--force" in run("match", "--batch", pairs, "-o", tmp_path, expect=1).stderr
-    run("match", "--batch", pairs, "--view", expect=2)
+    assert "--force" in run("batch", pairs, "-o", tmp_path, expect=1).stderr
+    run("batch", pairs, "--view", expect=2)
     run("match", "a.off", "b.off", "--scheduler", "tcp://x", expect=2)
+
+
+def test_landmarks_in_two_files_or_in_one_of_pairs(shapes, tmp_path):
+    source, target = shapes / "tr_reg_000.off", shapes / "tr_reg_010.off"
+    places = [0, 50, 150, 250, 350]
+    for name in ("a.csv", "b.csv"):
+        lines = [f"p{i},{vertex}" for i, vertex in enumerate(places)]
+        (tmp_path / name).write_text("\n".join(["name,vertex", *lines, ""]))
+    (tmp_path / "pairs.csv").write_text("\n".join(["source,target", *(f"{i},{i}" for i in places)]))
+    files = [tmp_path / "a.csv", tmp_path / "b.csv"]
+    arguments = ["match", source, target, "-o", tmp_path / "m.npy", "--json", "--force"]
+    for landmarks in (files, [tmp_path / "pairs.csv"]):
+        summary = json.loads(run(*arguments, "--landmarks", *landmarks).stdout)
+        assert summary["landmarks"] == 5
+        assert summary["candidate"].startswith("landmarks+")
+        found = np.load(tmp_path / "m.npy")
+        gap = np.linalg.norm(np.diff(np.stack([found[places], places]), axis=0), axis=0)
+        assert (gap < 48).all()  # two rings of the torus, whose vertices number 24 by 16
+    (tmp_path / "few.csv").write_text("name,vertex\np0,0\np1,50\n")
+    failed = run(*arguments, "--landmarks", files[0], tmp_path / "few.csv", expect=1)
+    assert "3 landmarks or more must have a name that both files have; got 2" in failed.stderr
+    run(*arguments, "--landmarks", *files, files[0], expect=2)

@@ -9,6 +9,7 @@ from collections.abc import Callable
 
 import typer
 
+from esd.cli.batch import batch
 from esd.cli.cache import cache
 from esd.cli.data import data
 from esd.cli.descriptor import descriptor
@@ -38,8 +39,9 @@ _EXAMPLES: dict[Callable[..., None], tuple[str, ...]] = {
     match: (
         "esd match a.ply b.ply -o map.csv",
         "esd match a.ply b.ply --view",
-        "esd match --batch pairs.csv",
+        "esd match a.ply b.ply --landmarks a.csv b.csv",
     ),
+    batch: ("esd batch pairs.csv -o maps",),
     view: (
         "esd view a.ply b.ply map.csv --open",
         "esd view a.ply b.ply map.csv --points a.vts b.vts -o page.html",
@@ -98,7 +100,7 @@ def main() -> None:
     # as Ctrl-C does, so that temporary files are removed on the way out
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     try:
-        app()
+        app(args=expanded(sys.argv[1:]))
     except InputError as error:
         _log.info("It failed here:", exc_info=error)
         _fail(str(error))
@@ -115,6 +117,23 @@ def main() -> None:
     except KeyboardInterrupt:
         typer.echo("esd: interrupted", err=True)
         raise SystemExit(130) from None
+
+
+def expanded(arguments: list[str]) -> list[str]:
+    """The arguments with `--landmarks A B` written as `--landmarks A --landmarks B`.
+
+    SOURCE and TARGET may follow: the last two of three or four names are these.
+    """
+    if "--landmarks" not in arguments:
+        return arguments
+    at = arguments.index("--landmarks") + 1
+    end = at
+    while end < len(arguments) and not arguments[end].startswith("-"):
+        end += 1
+    taken = end - at if end - at <= 2 else end - at - 2
+    files = arguments[at : at + taken]
+    repeated = [part for file in files[1:] for part in ("--landmarks", file)]
+    return [*arguments[:at], *files[:1], *repeated, *arguments[at + taken :]]
 
 
 def _fail(message: str) -> None:

@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from esd.cli.output import ForceOption, free_path, tell, telling
+from esd.cli.options import ForceOption
+from esd.cli.output import free_path, tell, telling
 
 data = typer.Typer(
     help="The bodies that ship with the package; Dyna and D-FAUST.", no_args_is_help=True

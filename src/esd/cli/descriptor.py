@@ -8,7 +8,8 @@ from typing import Annotated
 import typer
 
 from esd.cli.doctor import tell_findings
-from esd.cli.output import ForceOption, free_path, tell
+from esd.cli.options import ForceOption
+from esd.cli.output import free_path, tell
 
 
 def descriptor(

@@ -8,9 +8,16 @@ from typing import Annotated
 
 import typer
 
-from esd.cli.match import DeviceOption, RefineOption, RejectOption, SchedulerOption, WorkersOption
-from esd.cli.output import ForceOption, free_path, tell
-from esd.cli.train import DatasetArgument
+from esd.cli.options import (
+    DatasetArgument,
+    DeviceOption,
+    ForceOption,
+    RefineOption,
+    RejectOption,
+    SchedulerOption,
+    WorkersOption,
+)
+from esd.cli.output import free_path, tell
 
 
 def evaluate(

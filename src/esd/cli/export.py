@@ -7,15 +7,16 @@ from typing import Annotated
 
 import typer
 
-from esd.cli.output import ForceOption, free_path, tell
-from esd.cli.view import (
+from esd.cli.options import (
+    ForceOption,
     MapArgument,
     PointsOption,
     SourceArgument,
     TargetArgument,
     TruthOption,
-    true_error,
 )
+from esd.cli.output import free_path, tell
+from esd.cli.view import true_error
 
 
 def export(

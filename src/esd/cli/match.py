@@ -3,114 +3,78 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from esd.cli.output import ForceOption, free_path, tell
-from esd.cli.progress import progress
+from esd.cli.options import (
+    CandidatesOption,
+    CoarseOption,
+    DeviceOption,
+    ForceOption,
+    JsonOption,
+    Mirror,
+    MirrorOption,
+    ModelOption,
+    OneToOneOption,
+    RefineOption,
+    RejectOption,
+    RepairOption,
+    SourceArgument,
+    TargetArgument,
+    candidate_names,
+)
+from esd.cli.output import free_path, tell
 
 if TYPE_CHECKING:
-    from esd.learning.model import Model
-
-WorkersOption = Annotated[
-    int | None,
-    typer.Option(min=1, help="Processes; by default one for each core.", show_default=False),
-]
-SchedulerOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="ADDRESS",
-        help="Compute on the workers of a Dask scheduler, such as tcp://host:8786.",
-    ),
-]
-ModelOption = Annotated[
-    str,
-    typer.Option(
-        "--model", "-m", metavar="MODEL", help="A model folder, a bundled name, or hks, wks, gps."
-    ),
-]
-RefineOption = Annotated[
-    bool | None,
-    typer.Option(
-        "--refine/--no-refine",
-        help="Refine by ZoomOut; by default if MODEL tells left from right.",
-        show_default=False,
-    ),
-]
-RejectOption = Annotated[
-    bool, typer.Option("--reject", help="Drop matches beyond the model's threshold, C / 2.")
-]
-DeviceOption = Annotated[
-    str,
-    typer.Option(
-        metavar="[cpu|cuda|auto]", help="Where embeddings, and the nearest of them, are computed."
-    ),
-]
+    from esd.common import IntArray
+    from esd.matching.confidence import Judgement
 
 
 def match(
-    source: Annotated[
-        Path | None, typer.Argument(help="Mesh whose vertices are mapped.", show_default=False)
-    ] = None,
-    target: Annotated[
-        Path | None, typer.Argument(help="Mesh that they are mapped to.", show_default=False)
-    ] = None,
+    source: SourceArgument,
+    target: TargetArgument,
     output: Annotated[
         Path | None,
         typer.Option(
             "--output",
             "-o",
             metavar="MAP",
-            help="Ends in .csv, .npy, .txt or .vts; by default SOURCE-TARGET.csv. With --batch, "
-            "the folder of the maps that have no output.",
+            help="Ends in .csv, .npy, .txt or .vts; by default SOURCE-TARGET.csv.",
         ),
     ] = None,
     model: ModelOption = "default",
     refine: RefineOption = None,
-    reject: RejectOption = False,
-    one_to_one: Annotated[
-        bool,
-        typer.Option("--one-to-one", help="Match no target vertex twice; some source ones not."),
-    ] = False,
-    coarse: Annotated[
-        int | None,
+    landmarks: Annotated[
+        list[Path] | None,
         typer.Option(
-            metavar="N",
-            min=300,
-            help="For dense meshes: match copies of about N vertices, such as 10000, and carry "
-            "the map to all.",
+            metavar="FILE [FILE]",
+            help="Landmarks of SOURCE and of TARGET, paired by name (columns name,vertex or "
+            "name,x,y,z), or one file of pairs of vertices (columns source,target).",
             show_default=False,
         ),
     ] = None,
+    mirror: MirrorOption = Mirror.auto,
+    candidates: CandidatesOption = None,
+    reject: RejectOption = False,
+    one_to_one: OneToOneOption = False,
+    coarse: CoarseOption = None,
     view: Annotated[
         bool,
         typer.Option("--view", help="Also write a page that shows the map, and open it."),
     ] = False,
-    repair: Annotated[
-        bool,
-        typer.Option("--repair", help="Repair all that esd doctor would, not the harmless alone."),
-    ] = False,
-    batch: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="PAIRS",
-            help="Instead of SOURCE and TARGET: a .csv file of such, with the columns source, "
-            "target and, if wanted, output; names relative to its folder.",
-        ),
-    ] = None,
-    workers: WorkersOption = None,
-    scheduler: SchedulerOption = None,
+    repair: RepairOption = False,
     device: DeviceOption = "cpu",
-    as_json: Annotated[bool, typer.Option("--json", help="Print a summary as JSON.")] = False,
+    as_json: JsonOption = False,
     force: ForceOption = False,
 ) -> None:
     """Map each vertex of SOURCE to its vertex of TARGET.
 
-    Meshes or points, broken ones as well: see esd doctor. The map is that of the files' vertices.
+    Defective meshes and point clouds are accepted, see esd doctor. The map is that of the files'
+    vertices. It is chosen among several candidates; --json and --verbose say which.
     """
+    import logging
     import time
 
     from esd.learning.model import load_model
@@ -119,21 +83,6 @@ def match(
     from esd.mesh.repair.repair import repair as repaired
     from esd.mesh.repair.repair import usable_part
 
-    if batch is not None:
-        if source or view:
-            raise typer.BadParameter("--batch takes neither SOURCE and TARGET nor --view.")
-        if workers and scheduler:
-            raise typer.BadParameter("Give --workers or --scheduler, not both.")
-        options: dict[str, Any] = {"refine": refine, "reject": reject}
-        options |= {"one_to_one": one_to_one, "everything": repair, "coarse": coarse}
-        options |= {"workers": workers, "scheduler": scheduler}
-        loaded = load_model(model, device=device)
-        _match_batch(batch, output, loaded, as_json=as_json, force=force, **options)
-        return
-    if scheduler:
-        raise typer.BadParameter("--scheduler goes with --batch.")
-    if source is None or target is None:
-        raise typer.BadParameter("SOURCE and TARGET are needed, or --batch PAIRS.")
     start = time.perf_counter()
     path = free_path(
         check_map_path(output or Path(f"{source.stem}-{target.stem}.csv")), force=force
@@ -143,9 +92,19 @@ def match(
         free_path(page, force=force)
         drawn = usable_part(source), usable_part(target)
     loaded = load_model(model, device=device)
+    if reject:
+        loaded.threshold()  # refused before anything is computed
+    names, pairs = _landmark_pairs(landmarks or [], source, target)
     shapes = [repaired(path, everything=repair, restore=True) for path in (source, target)]
     result = match_meshes(
-        *shapes, model=loaded, refine=refine, one_to_one=one_to_one, coarse=coarse
+        *shapes,
+        model=loaded,
+        refine=refine,
+        one_to_one=one_to_one,
+        candidates=candidate_names(candidates),
+        landmarks=pairs,
+        mirror=mirror.value,
+        coarse=coarse,
     )
     if reject:
         result = result.rejecting(loaded.threshold())
@@ -163,6 +122,11 @@ def match(
         "verdict": judged.verdict if judged else None,
         "expected_accuracy_5pct_diameter": judged.expected_accuracy if judged else None,
         "orientation": judged.orientation if judged else None,
+        "candidate": judged.candidate if judged else None,
+        "candidate_costs": dict(judged.costs) if judged else {},
+        "mirrored": judged.is_mirrored if judged else False,
+        "landmarks": 0 if pairs is None else len(pairs),
+        "contradicted_landmarks": [names[i] for i in judged.contradicted] if judged else [],
         "seconds": time.perf_counter() - start,
     }
     if as_json:
@@ -173,10 +137,12 @@ def match(
             f"{summary['coverage']:.0%} of the target; written to {path}"
         )
         if judged:
-            tell(
-                f"{judged.verdict}: about {judged.expected_accuracy:.0%} within 5 % of the "
-                f"diameter. {judged.advice}".rstrip()
-            )
+            _tell_judgement(judged, names)
+    if judged and judged.costs:
+        costs = ", ".join(f"{name} {value:.2f}" for name, value in sorted(judged.costs.items()))
+        logging.getLogger(__name__).info(
+            "The map is the candidate '%s'; costs, the least is best: %s.", judged.candidate, costs
+        )
     if view:
         from esd.cli.view import write_page
 
@@ -184,34 +150,34 @@ def match(
         typer.launch(str(page.resolve()))
 
 
-def _match_batch(
-    batch: Path, folder: Path | None, model: Model, *, as_json: bool, force: bool, **options: Any
-) -> None:
-    import time
+def _tell_judgement(judged: Judgement, names: tuple[str, ...]) -> None:
+    tell(
+        f"{judged.verdict}: about {judged.expected_accuracy:.0%} within 5 % of the "
+        f"diameter. {judged.advice}".rstrip()
+    )
+    if judged.is_mirrored:
+        tell("The source was mirrored: its mirror image fits better.")
+    for index in judged.contradicted:
+        tell(f"Landmark '{names[index]}' was left out: the others contradict it.")
 
-    from esd.common import InputError
-    from esd.matching.batch import match_files, read_pairs_of_files
 
-    start = time.perf_counter()
-    folder = folder or Path()
-    if options["scheduler"]:  # its workers may run in other folders
-        batch, folder = batch.resolve(), folder.resolve()
-    pairs = read_pairs_of_files(batch, folder=folder)
-    for pair in pairs:
-        free_path(pair.output, force=force)
-    steps = len(pairs) + len({file for pair in pairs for file in (pair.source, pair.target)})
-    maps, failed = [], 0
-    with progress("matching", steps) as went:
-        for done in match_files(pairs, model=model, on_step=lambda: went(1), **options):
-            names = {key: str(getattr(done.pair, key)) for key in ("source", "target", "output")}
-            maps.append({**names, **{k: v for k, v in asdict(done).items() if k != "pair"}})
-            failed += done.failure is not None
-            if not as_json and done.failure:
-                typer.echo(f"{done.pair.output}\t{done.failure}")
-    if as_json:
-        seconds = time.perf_counter() - start
-        typer.echo(json.dumps({"model": model.name, "maps": maps, "seconds": seconds}))
-    else:
-        tell(f"{len(pairs) - failed} of {len(pairs)} pairs matched")
-    if failed:
-        raise InputError(f"{failed} of {len(pairs)} pairs failed; the other maps are written.")
+def _landmark_pairs(
+    files: list[Path], source: Path, target: Path
+) -> tuple[tuple[str, ...], IntArray | None]:
+    """Names of landmarks, and pairs (l, 2) of vertices; none if there is no file."""
+    if not files:
+        return (), None
+    if len(files) > 2:
+        raise typer.BadParameter("--landmarks takes one file or two.")
+    from esd.matching.landmarks import paired_landmarks, read_landmark_pairs
+
+    if len(files) == 1:
+        return read_landmark_pairs(files[0])
+    from esd.mesh.io.fields import read_landmarks
+    from esd.mesh.repair.repair import usable_part
+
+    read = [
+        read_landmarks(file, usable_part(mesh))
+        for file, mesh in zip(files, (source, target), strict=True)
+    ]
+    return paired_landmarks(*read)

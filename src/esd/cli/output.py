@@ -13,8 +13,6 @@ import typer
 
 from esd.common import InputError
 
-ForceOption = Annotated[bool, typer.Option("--force", "-f", help="Replace a file that exists.")]
-
 
 def free_path(path: Path, *, force: bool) -> Path:
     """The path, if nothing is lost by writing there: no file of any size is, unless forced.

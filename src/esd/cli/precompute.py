@@ -8,9 +8,8 @@ from typing import Annotated
 
 import typer
 
-from esd.cli.match import SchedulerOption, WorkersOption
-from esd.cli.output import ForceOption, tell
-from esd.cli.train import DatasetArgument
+from esd.cli.options import DatasetArgument, ForceOption, SchedulerOption, WorkersOption
+from esd.cli.output import tell
 
 
 def precompute(

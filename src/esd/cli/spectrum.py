@@ -9,7 +9,8 @@ from typing import Annotated, Any
 import typer
 
 from esd.cli.doctor import tell_findings
-from esd.cli.output import ForceOption, free_path, tell
+from esd.cli.options import ForceOption
+from esd.cli.output import free_path, tell
 
 
 class Operator(str, Enum):

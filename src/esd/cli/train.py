@@ -7,16 +7,8 @@ from typing import Annotated
 
 import typer
 
-from esd.cli.output import ForceOption, free_path, tell
-
-DatasetArgument = Annotated[
-    str,
-    typer.Argument(
-        metavar="DATASET",
-        help="A folder with shapes/ and corres/ or with meshes of one connectivity, an HDF5 file "
-        "of Dyna or of esd precompute, or 'bodies'.",
-    ),
-]
+from esd.cli.options import DatasetArgument, ForceOption
+from esd.cli.output import free_path, tell
 
 
 def train(

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from esd.cli.output import ForceOption, free_path, tell
-from esd.cli.view import MapArgument, SourceArgument, TargetArgument
+from esd.cli.options import ForceOption, MapArgument, SourceArgument, TargetArgument
+from esd.cli.output import free_path, tell
 
 if TYPE_CHECKING:
     from esd.matching.correspondence import Correspondence

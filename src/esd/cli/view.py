@@ -7,29 +7,20 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from esd.cli.output import ForceOption, free_path, tell
+from esd.cli.options import (
+    ForceOption,
+    MapArgument,
+    PointsOption,
+    SourceArgument,
+    TargetArgument,
+    TruthOption,
+)
+from esd.cli.output import free_path, tell
 
 if TYPE_CHECKING:
     from esd.common import FloatArray
     from esd.matching.correspondence import Correspondence
     from esd.mesh.mesh import Mesh
-
-SourceArgument = Annotated[Path, typer.Argument(help="Mesh whose vertices are mapped.")]
-TargetArgument = Annotated[Path, typer.Argument(help="Mesh that they are mapped to.")]
-MapArgument = Annotated[
-    Path, typer.Argument(metavar="MAP", help="The map, as `esd match` writes it.")
-]
-TruthOption = Annotated[
-    Path | None, typer.Option("--truth", metavar="MAP", help="The true map, to show the error.")
-]
-PointsOption = Annotated[
-    tuple[Path, Path] | None,
-    typer.Option(
-        "--points",
-        metavar="SOURCE.vts TARGET.vts",
-        help="Instead: the vertices of both shapes at the same points, one a line, from 1.",
-    ),
-]
 
 
 def view(

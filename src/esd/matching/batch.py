@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -15,7 +15,7 @@ from esd.common import InputError
 from esd.learning.model import Model
 from esd.matching.correspondence import check_map_path, save_map
 from esd.matching.features import Features, shape_features
-from esd.matching.match import check_copies, match_features
+from esd.matching.match import Mirror, check_copies, match_features
 from esd.mesh.mesh import Mesh, PointCloud
 from esd.mesh.repair.repair import repair
 from esd.parallel import outcomes, shared_folder
@@ -112,6 +112,8 @@ def match_files(
     *,
     model: Model,
     refine: bool | None = None,
+    candidates: Sequence[str] | None = None,
+    mirror: Mirror = "auto",
     one_to_one: bool = False,
     reject: bool = False,
     everything: bool = False,
@@ -127,6 +129,8 @@ def match_files(
 
     Parameters
     ----------
+    candidates, mirror
+        See `esd.matching.match.match`.
     reject
         Whether matches beyond the model's threshold are dropped.
     everything
@@ -163,6 +167,8 @@ def match_files(
             places=places,
             model=model,
             refine=refine,
+            candidates=candidates,
+            mirror=mirror,
             one_to_one=one_to_one,
             threshold=threshold,
         )
@@ -192,12 +198,20 @@ def _match(
     places: dict[Path, Path],
     model: Model,
     refine: bool | None,
+    candidates: Sequence[str] | None,
+    mirror: Mirror,
     one_to_one: bool,
     threshold: float,
 ) -> MatchedPair:
     source, target = load_features(places[pair.source]), load_features(places[pair.target])
     found = match_features(
-        source, target, model=model, refine=refine, one_to_one=one_to_one
+        source,
+        target,
+        model=model,
+        refine=refine,
+        candidates=candidates,
+        mirror=mirror,
+        one_to_one=one_to_one,
     ).rejecting(threshold)
     save_map(found, pair.output)
     judged = found.judgement

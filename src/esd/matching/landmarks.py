@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import csv
+import os
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -17,6 +20,7 @@ from esd.matching.candidates import (
 from esd.matching.extrinsic import aligned, deformed
 from esd.mesh.geodesics import geodesic_graph
 from esd.mesh.geometry import surface_area
+from esd.mesh.io.fields import Landmarks
 from esd.mesh.mesh import Mesh
 from esd.nearest import nearest
 
@@ -60,6 +64,55 @@ def check_landmarks(landmarks: IntArray, source_count: int, target_count: int) -
     return landmarks.astype(np.int64)
 
 
+def read_landmark_pairs(path: str | os.PathLike[str]) -> tuple[tuple[str, ...], IntArray]:
+    """Names and pairs of vertices, (l, 2) from 0, in a CSV file with columns `source,target`.
+
+    A column `name` names them; by default they are numbered from 1.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or not so.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"There is no file '{path}'.")
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            rows = list(csv.DictReader(file, skipinitialspace=True))
+        if not rows or not {"source", "target"} <= set(rows[0]):
+            raise InputError(f"'{path}' must have the columns source,target; or give two files.")
+        pairs = np.array([[int(row["source"]), int(row["target"])] for row in rows])
+    except (csv.Error, UnicodeDecodeError, TypeError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"'{path}' holds no pairs of vertices: {error}.") from error
+    names = tuple(row.get("name") or str(number) for number, row in enumerate(rows, start=1))
+    return names, pairs
+
+
+def paired_landmarks(source: Landmarks, target: Landmarks) -> tuple[tuple[str, ...], IntArray]:
+    """Names that both shapes have, in the order of the source, and their vertices, (l, 2).
+
+    Raises
+    ------
+    InputError
+        If fewer than three names are in both.
+    """
+    there = dict(zip(target.names, target.vertices.tolist(), strict=True))
+    found = {
+        name: (vertex, there[name])
+        for name, vertex in zip(source.names, source.vertices.tolist(), strict=True)
+        if vertex >= 0 and there.get(name, -1) >= 0
+    }
+    if len(found) < FEWEST:
+        raise InputError(
+            f"{FEWEST} landmarks or more must have a name that both files have; "
+            f"got {len(found)}: {', '.join(found) or 'none'}."
+        )
+    return tuple(found), np.array(list(found.values()))
+
+
 def landmark_rows(mesh: Mesh, vertices: IntArray) -> FloatArray:
     """Rows (n, l) of unit length that say how near each vertex is to each landmark.
 
@@ -71,9 +124,7 @@ def landmark_rows(mesh: Mesh, vertices: IntArray) -> FloatArray:
         The landmarks.
     """
     distance = geodesic_graph(mesh).distances(vertices).T / np.sqrt(surface_area(mesh))
-    rows = 1 / (distance + _NEAR)
-    length = np.linalg.norm(rows, axis=1, keepdims=True)
-    return np.asarray(rows / np.where(length > 0, length, 1.0))
+    return _unit(1 / (distance + _NEAR))
 
 
 def landmark_candidates(
@@ -117,14 +168,17 @@ def contradicted(
     if count < _FEWEST_TO_DOUBT:
         return np.zeros(0, dtype=np.int64)
     fold = np.arange(count) % min(count, _FOLDS)
-    whole = _beside(source, target, landmarks, {"descriptors": descriptors})["descriptors"]
+    near = [
+        landmark_rows(_mesh(shape), column)
+        for shape, column in zip((source, target), landmarks.T, strict=True)
+    ]
     graph = geodesic_graph(_mesh(target))
     miss = np.empty(count)
     for left_out in np.unique(fold):
         used = fold != left_out
-        # rows of the landmarks that are used, of unit length again
-        columns = np.concatenate([used, np.ones(whole[0].shape[1] - count, dtype=bool)])
-        embeddings = whole[0][:, columns], whole[1][:, columns]
+        embeddings = _joined(
+            (_unit(near[0][:, used]), _unit(near[1][:, used])), descriptors, _DESCRIPTOR_WEIGHT
+        )
         candidate = spectral_candidate("landmarks", source, target, embeddings)
         out = np.flatnonzero(~used)
         image = nearest(candidate.forward[0][landmarks[out, 0]], candidate.forward[1])[0]
@@ -138,18 +192,24 @@ def _beside(
     source: Sampled, target: Sampled, landmarks: IntArray, rows: dict[str, Rows]
 ) -> dict[str, Rows]:
     """Rows of landmarks with others beside them, of both shapes, by the name of the others."""
-    near = [
-        _WEIGHT * landmark_rows(_mesh(shape), column)
-        for shape, column in zip((source, target), landmarks.T, strict=True)
-    ]
+    near = (
+        landmark_rows(_mesh(source), landmarks[:, 0]),
+        landmark_rows(_mesh(target), landmarks[:, 1]),
+    )
     weights = {"embedding": _EMBEDDING_WEIGHT, "descriptors": _DESCRIPTOR_WEIGHT}
-    return {
-        name: (
-            np.hstack([near[0], weights[name] * each[0]]),
-            np.hstack([near[1], weights[name] * each[1]]),
-        )
-        for name, each in rows.items()
-    }
+    return {name: _joined(near, each, weights[name]) for name, each in rows.items()}
+
+
+def _joined(near: Rows, rows: Rows, weight: float) -> Rows:
+    return (
+        np.hstack([_WEIGHT * near[0], weight * rows[0]]),
+        np.hstack([_WEIGHT * near[1], weight * rows[1]]),
+    )
+
+
+def _unit(rows: FloatArray) -> FloatArray:
+    length = np.linalg.norm(rows, axis=1, keepdims=True)
+    return np.asarray(rows / np.where(length > 0, length, 1.0))
 
 
 def _mesh(shape: Sampled) -> Mesh:

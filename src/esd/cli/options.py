@@ -1,0 +1,119 @@
+"""Arguments and options that several commands share."""
+
+from __future__ import annotations
+
+from enum import Enum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+ForceOption = Annotated[bool, typer.Option("--force", "-f", help="Replace a file that exists.")]
+SourceArgument = Annotated[Path, typer.Argument(help="Mesh whose vertices are mapped.")]
+TargetArgument = Annotated[Path, typer.Argument(help="Mesh that they are mapped to.")]
+MapArgument = Annotated[
+    Path, typer.Argument(metavar="MAP", help="The map, as `esd match` writes it.")
+]
+TruthOption = Annotated[
+    Path | None, typer.Option("--truth", metavar="MAP", help="The true map, to show the error.")
+]
+PointsOption = Annotated[
+    tuple[Path, Path] | None,
+    typer.Option(
+        "--points",
+        metavar="SOURCE.vts TARGET.vts",
+        help="Instead: the vertices of both shapes at the same points, one a line, from 1.",
+    ),
+]
+DatasetArgument = Annotated[
+    str,
+    typer.Argument(
+        metavar="DATASET",
+        help="A folder with shapes/ and corres/ or with meshes of one connectivity, an HDF5 file "
+        "of Dyna or of esd precompute, or 'bodies'.",
+    ),
+]
+WorkersOption = Annotated[
+    int | None,
+    typer.Option(min=1, help="Processes; by default one for each core.", show_default=False),
+]
+SchedulerOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS",
+        help="Compute on the workers of a Dask scheduler, such as tcp://host:8786.",
+    ),
+]
+ModelOption = Annotated[
+    str,
+    typer.Option(
+        "--model", "-m", metavar="MODEL", help="A model folder, a bundled name, or hks, wks, gps."
+    ),
+]
+RefineOption = Annotated[
+    bool | None,
+    typer.Option(
+        "--refine/--no-refine",
+        help="Refine by ZoomOut; by default if MODEL tells left from right.",
+        show_default=False,
+    ),
+]
+RejectOption = Annotated[
+    bool, typer.Option("--reject", help="Drop matches beyond the model's threshold, C / 2.")
+]
+DeviceOption = Annotated[
+    str,
+    typer.Option(
+        metavar="[cpu|cuda|auto]", help="Where embeddings, and the nearest of them, are computed."
+    ),
+]
+OneToOneOption = Annotated[
+    bool,
+    typer.Option("--one-to-one", help="Match no target vertex twice; some source ones not."),
+]
+CoarseOption = Annotated[
+    int | None,
+    typer.Option(
+        metavar="N",
+        min=300,
+        help="For dense meshes: match copies of about N vertices, such as 10000, and upsample "
+        "the map to all.",
+        show_default=False,
+    ),
+]
+RepairOption = Annotated[
+    bool,
+    typer.Option("--repair", help="Repair all that esd doctor would, not the harmless alone."),
+]
+CandidatesOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAMES",
+        help="Choose the map only among these, with commas between: embedding, descriptors, "
+        "extrinsic, extrinsic+embedding, extrinsic+descriptors; with landmarks also "
+        "landmarks+embedding, landmarks+descriptors, landmarks+extrinsic.",
+        show_default=False,
+    ),
+]
+
+
+class Mirror(str, Enum):
+    """What `--mirror` takes."""
+
+    auto = "auto"
+    yes = "yes"
+    no = "no"
+
+
+MirrorOption = Annotated[
+    Mirror,
+    typer.Option(
+        help="Mirror SOURCE first, as for a left and a right hand; auto: where that fits better."
+    ),
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print a summary as JSON.")]
+
+
+def candidate_names(text: str | None) -> tuple[str, ...] | None:
+    """The names in the text of `--candidates`."""
+    return None if text is None else tuple(name.strip() for name in text.split(","))
