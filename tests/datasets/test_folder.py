@@ -125,18 +125,50 @@ def test_broken_folders_are_refused(tmp_path, remeshed):
         folder_collection(tmp_path / "empty")
     write_mesh(torus(6, 5), tmp_path / "empty" / "a.off")
     write_mesh(torus(6, 6), tmp_path / "empty" / "b.off")
-    with pytest.raises(InputError, match=r"'b\.off' has another connectivity than 'a\.off'"):
-        folder_collection(tmp_path / "empty")
-    write_mesh(torus(6, 5), tmp_path / "empty" / "c.off")
-    with pytest.raises(InputError, match=r"'b\.off' has another connectivity than 'a\.off'"):
-        folder_collection(tmp_path / "empty")["b"].mesh()
-    (tmp_path / "empty" / "c.off").unlink()
     write_mesh(torus(6, 6), tmp_path / "empty" / "b.ply")
     with pytest.raises(InputError, match="several meshes named 'b'"):
         folder_collection(tmp_path / "empty")
-    (remeshed / "corres" / "cat1.vts").unlink()
+    for file in (remeshed / "corres").iterdir():
+        file.unlink()
     with pytest.raises(InputError, match="has no correspondence"):
         folder_collection(remeshed)
+
+
+def test_meshes_of_several_connectivities_correspond_with_no_other(registered):
+    write_mesh(torus(6, 6), registered / "tr_reg_011.off")
+    collection = folder_collection(registered)
+    assert collection.unregistered() == tuple(shape.name for shape in collection.shapes)
+    assert collection.subjects == ("00", "01", "02")
+    shape = collection["tr_reg_011"]
+    np.testing.assert_array_equal(shape.correspondence(), np.arange(36))
+    with pytest.raises(InputError, match="no two shapes that correspond"):
+        collection.pairs()
+
+
+def test_of_a_large_folder_each_mesh_is_checked_when_it_is_read(registered, monkeypatch):
+    monkeypatch.setattr("esd.datasets.folder._COMPARED", 2)  # the first and the last
+    write_mesh(torus(6, 6), registered / "tr_reg_010.off")
+    collection = folder_collection(registered)
+    assert collection.unregistered() == ()
+    with pytest.raises(InputError, match=r"'tr_reg_010\.off' has another connectivity than"):
+        collection["tr_reg_010"].mesh()
+
+
+def test_meshes_that_cannot_be_read_do_not_decide_about_a_folder(registered):
+    for name in ("tr_reg_010", "tr_reg_000", "tr_reg_020"):
+        (registered / f"{name}.off").write_text("OFF\n")
+        assert folder_collection(registered).unregistered() == ()
+    (registered / "tr_reg_001.off").write_text("OFF\n")
+    with pytest.raises(InputError, match=r"tr_reg_020\.off' cannot be read"):
+        folder_collection(registered)
+
+
+def test_shapes_that_lack_a_correspondence_are_reported(remeshed, caplog):
+    (remeshed / "corres" / "cat1.vts").unlink()
+    collection = folder_collection(remeshed)
+    assert "1 of 3 shapes have no correspondence" in caplog.text
+    assert "cat1.off" in caplog.text
+    assert collection.unregistered() == ("cat0", "cat1", "wolf0")  # no other cat is left
 
 
 @pytest.mark.parametrize(

@@ -29,8 +29,8 @@ DatasetArgument = Annotated[
     str,
     typer.Argument(
         metavar="DATASET",
-        help="A folder with shapes/ and corres/ or with meshes of one connectivity, an HDF5 file "
-        "of Dyna or of esd precompute, or 'bodies'.",
+        help="A folder of meshes: with corres/, of one connectivity, or, for training, of any; an "
+        "HDF5 file of Dyna or of esd precompute; or 'bodies'.",
     ),
 ]
 WorkersOption = Annotated[

@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from esd.cli.options import DatasetArgument, ForceOption
 from esd.cli.output import free_path, tell
+from esd.common import InputError
+
+if TYPE_CHECKING:
+    from esd.datasets.collection import Collection
+    from esd.learning.model import Model
+    from esd.learning.presets import Training
+
+_JUDGED = 12  # maps by which a training without correspondences is judged
 
 
 def train(
@@ -19,9 +28,10 @@ def train(
     preset: Annotated[
         str,
         typer.Option(
-            help="oriented, paper-hks, paper-wks, paper-gps, osd, osd-geometry, gcnn or acnn."
+            help="oriented, paper-hks, paper-wks, paper-gps, osd, osd-geometry, gcnn or acnn. "
+            "Only the first learns without correspondences."
         ),
-    ],
+    ] = "oriented",
     include: Annotated[
         str | None, typer.Option(metavar="GLOB", help="Only shapes with such names.")
     ] = None,
@@ -44,18 +54,26 @@ def train(
     device: Annotated[
         str, typer.Option(metavar="[cpu|cuda|auto]", help="Where the network is trained.")
     ] = "cpu",
+    start: Annotated[
+        str | None,
+        typer.Option(
+            metavar="MODEL",
+            help="Model to start from, such as 'default'; without correspondences only.",
+        ),
+    ] = None,
     force: ForceOption = False,
 ) -> None:
-    """Train a model on the shapes of DATASET; an interrupted training goes on when called again."""
+    """Train a model on the shapes of DATASET; an interrupted training resumes when rerun.
+
+    Where shapes of DATASET have no correspondences, it learns without: see the share of good maps
+    that it prints at the end.
+    """
     from dataclasses import replace
 
-    from esd.cli.progress import progress
     from esd.datasets.open import open_collection
     from esd.datasets.splits import split_by_subject
-    from esd.learning.fit import fit
     from esd.learning.model import check_model_destination, save_model
     from esd.learning.presets import preset as named_preset
-    from esd.spectral.cache import default_cache
 
     training = replace(named_preset(preset), standardise=standardise)
     if steps is not None:
@@ -76,27 +94,142 @@ def train(
         chosen = chosen.excluding_subjects(held.subjects)
     elif hold_out:
         chosen, held = split_by_subject(chosen, held_out=hold_out, seed=seed)
-    shapes = 0 if whole.store else len(chosen.shapes) + (len(held.shapes) if held else 0)
-    done = 0
-    with progress("describing", shapes) as described, progress("training", training.steps) as went:
+    unregistered = chosen.unregistered()
+    if unregistered and training.loss == "infonce":
+        if device != "cpu":
+            raise typer.BadParameter("Learning without correspondences runs on the CPU only.")
+        model = _unsupervised(chosen, held, training, output, seed=seed, steps=steps, start=start)
+    elif len(unregistered) == len(chosen.shapes):
+        raise InputError(
+            f"'{dataset}' has no correspondences, which the preset '{preset}' needs: add them as "
+            "'corres/NAME.vts', or take the preset 'oriented', which learns without."
+        )
+    elif start is not None:
+        raise typer.BadParameter("--start is for shapes without correspondences.")
+    else:
+        model = _supervised(chosen, held, training, output, seed=seed, device=device)
+    save_model(model, output)
+    tell(f"trained {model.card['steps_done']} steps on {len(chosen.shapes)} shapes: {output}")
+    if "verdicts" in model.card:
+        tell(_trust(model))
 
-        def advance(state: object) -> None:
-            nonlocal done
-            step = getattr(state, "step", done)
-            went(step - done)
-            done = step
 
-        model = fit(
+def _checkpoint(output: Path) -> Path:
+    return output.with_name(output.name + ".checkpoint")
+
+
+def _supervised(
+    chosen: Collection,
+    held: Collection | None,
+    training: Training,
+    output: Path,
+    *,
+    seed: int,
+    device: str,
+) -> Model:
+    from esd.cli.progress import progress
+    from esd.learning.fit import fit
+    from esd.spectral.cache import default_cache
+
+    shapes = 0 if chosen.store else len(chosen.shapes) + (len(held.shapes) if held else 0)
+    with (
+        progress("describing", shapes) as described,
+        progress("training", training.steps) as trained,
+    ):
+        return fit(
             chosen,
             training,
             name=output.name,
             seed=seed,
             validation=held,
-            checkpoint=output.with_name(output.name + ".checkpoint"),
+            checkpoint=_checkpoint(output),
             device=device,
             cache=default_cache(),
             on_shape=lambda: described(1),
-            on_progress=advance,
+            on_progress=_since_last(trained),
         )
-    save_model(model, output)
-    tell(f"trained {model.card['steps_done']} steps on {len(chosen.shapes)} shapes: {output}")
+
+
+def _unsupervised(
+    chosen: Collection,
+    held: Collection | None,
+    training: Training,
+    output: Path,
+    *,
+    seed: int,
+    steps: int | None,
+    start: str | None,
+) -> Model:
+    """A model learned without correspondences, with the verdicts on some of its maps."""
+    from dataclasses import replace
+
+    from esd.cli.progress import progress
+    from esd.evaluation.trust import verdicts
+    from esd.learning.model import load_model
+    from esd.learning.unsupervised import Teaching, train_unsupervised
+    from esd.spectral.cache import default_cache
+
+    teaching = Teaching() if steps is None else replace(Teaching(), steps=steps)
+    first = None if start is None else load_model(start)
+    cache = default_cache()
+    shapes = len(chosen.shapes) + (len(held.shapes) if held else 0)
+    with progress("describing", shapes) as described, progress("training", teaching.steps) as went:
+        model = train_unsupervised(
+            chosen,
+            training,
+            teaching=teaching,
+            name=output.name,
+            seed=seed,
+            validation=held,
+            start=first,
+            checkpoint=_checkpoint(output),
+            workers=None,
+            cache=cache,
+            on_shape=lambda: described(1),
+            on_progress=_since_last(went),
+        )
+    used = replace(chosen, shapes=tuple(chosen[name] for name in model.card["shapes"]))
+    with progress("judging", min(_JUDGED, len(used.shapes))) as judged:
+        found = verdicts(
+            model,
+            used,
+            count=_JUDGED,
+            seed=seed,
+            workers=None,
+            cache=cache,
+            on_pair=lambda: judged(1),
+        )
+    return replace(model, card={**model.card, "verdicts": dict(found)})
+
+
+def _since_last(advance: Callable[[int], None]) -> Callable[[Any], None]:
+    """What passes on how many steps were done since the last call."""
+    done = 0
+
+    def report(state: Any) -> None:
+        nonlocal done
+        advance(state.step - done)
+        done = state.step
+
+    return report
+
+
+def _trust(model: Model) -> str:
+    """How far a model that was trained without correspondences can be trusted, in lines."""
+    found = model.card["verdicts"]
+    counts = ", ".join(f"{number} {verdict}" for verdict, number in found.items())
+    lines = [f"of {sum(found.values())} maps between training shapes: {counts}"]
+    groups = model.card["groups"]
+    alone = [group[0] for group in groups[1:] if len(group) == 1]
+    if alone:
+        lines.append(
+            f"found no place among the others: {', '.join(alone)}; look whether they are of "
+            "another class, mirrored, or damaged"
+        )
+    lines += [
+        f"match each other but not the others, perhaps of another class: {', '.join(group)}"
+        for group in groups[1:]
+        if len(group) > 1
+    ]
+    lines += [f"left out: {name}: {why}" for name, why in model.card["left_out"].items()]
+    return "\n".join(lines)

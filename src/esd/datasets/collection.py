@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
@@ -88,6 +89,11 @@ class Collection:
     def subjects(self) -> tuple[str, ...]:
         """Subjects, each once, in order of first appearance."""
         return tuple(dict.fromkeys(shape.subject for shape in self.shapes))
+
+    def unregistered(self) -> tuple[str, ...]:
+        """Names of the shapes that correspond with no other."""
+        count = Counter(shape.template for shape in self.shapes)
+        return tuple(shape.name for shape in self.shapes if count[shape.template] == 1)
 
     def including(self, patterns: str) -> Collection:
         """Shapes whose name matches one of some patterns.

@@ -1,8 +1,9 @@
-"""Collections in folders: shapes with `.vts` correspondences, or meshes of one connectivity."""
+"""Collections in folders: of one connectivity, with `.vts` correspondences, or without any."""
 
 from __future__ import annotations
 
 import csv
+import logging
 import os
 import re
 from collections.abc import Callable, Mapping
@@ -18,11 +19,14 @@ from esd.mesh.io.meshes import FORMATS, read_mesh
 from esd.mesh.mesh import Mesh
 from esd.spectral.cache import content_key
 
+_log = logging.getLogger(__name__)
+
 _SUBJECT_PATTERNS = (
     r"tr_reg_(\d+)\d",  # FAUST: the last digit is the pose
     r"(5\d{4})_.+",  # Dyna, D-FAUST: subject_sequence
     r"(s\d+)_p\d+",  # bodies
 )
+_COMPARED = 64  # meshes of a folder whose connectivities are compared when it is opened
 _TOSCA = "cat|centaur|david|dog|gorilla|horse|lioness|michael|seahorse|victoria|wolf"
 
 
@@ -31,9 +35,10 @@ def folder_collection(path: str | os.PathLike[str]) -> Collection:
 
     The meshes lie in the folder or in `shapes/` within it. Where there is a folder `corres` (or
     `corr`), its `NAME.vts` holds the 1-based vertex of shape NAME at each point of the template,
-    one a line, and `NAME.sym.vts` the same under left-right symmetry. Where there is none, all
-    meshes must have one connectivity, and equal indices correspond; each is checked when it is
-    read, so that opening a large folder takes no time.
+    one a line, and `NAME.sym.vts` the same under left-right symmetry. Where there is no such
+    folder and all meshes have one connectivity, equal indices correspond; of large folders each
+    mesh is checked when it is read, so that opening one takes no time. Shapes of several
+    connectivities correspond with no other: each is its own template.
 
     Subjects follow from the names of FAUST, TOSCA, Dyna and D-FAUST; elsewhere each shape is a
     subject of its own. A file `subjects.csv` with the columns `name,subject` and, if shapes of
@@ -61,10 +66,10 @@ def folder_collection(path: str | os.PathLike[str]) -> Collection:
     listed = _listed_subjects(folder / "subjects.csv")
     for name in ("corres", "corr"):
         if (folder / name).is_dir():
-            shapes = [_with_vts(file, folder / name, listed) for file in files]
+            shapes = _with_correspondences(files, folder / name, listed)
             break
     else:
-        shapes = _of_one_connectivity(folder, files, listed)
+        shapes = _without_correspondences(folder, files, listed)
     return Collection(folder.resolve().name, tuple(shapes))
 
 
@@ -133,10 +138,44 @@ def _parts(
     return partial(read_parts, folder / "parts", name, points)
 
 
+def _with_correspondences(
+    files: list[Path], corres: Path, listed: Mapping[str, tuple[str, str | None]]
+) -> list[Shape]:
+    """Shapes with what a folder of `.vts` files says; those that it lacks are logged."""
+    lacking = [file.name for file in files if not (corres / f"{file.stem}.vts").is_file()]
+    if len(lacking) == len(files):
+        raise InputError(f"The shape '{lacking[0]}' has no correspondence in '{corres}'.")
+    if lacking:
+        _log.warning(
+            "%d of %d shapes have no correspondence in '%s', and correspond with no other: %s.",
+            len(lacking),
+            len(files),
+            corres,
+            ", ".join(lacking),
+        )
+    return [
+        _alone(file, listed) if file.name in lacking else _with_vts(file, corres, listed)
+        for file in files
+    ]
+
+
+def _alone(file: Path, listed: Mapping[str, tuple[str, str | None]]) -> Shape:
+    """A shape that corresponds with no other: its template is its own mesh."""
+    return Shape(
+        name=file.stem,
+        subject=_identity(file.stem, listed)[0],
+        template=f"only {file.stem}",
+        mesh=partial(read_mesh, file),
+        correspondence=partial(_all_vertices, file),
+    )
+
+
+def _all_vertices(file: Path) -> IntArray:
+    return np.arange(len(read_mesh(file).vertices))
+
+
 def _with_vts(file: Path, corres: Path, listed: Mapping[str, tuple[str, str | None]]) -> Shape:
     vts = corres / f"{file.stem}.vts"
-    if not vts.is_file():
-        raise InputError(f"The shape '{file.name}' has no correspondence '{vts}'.")
     mirrored = corres / f"{file.stem}.sym.vts"
     subject, template = _identity(file.stem, listed)
     points = partial(read_vts, vts)
@@ -151,11 +190,15 @@ def _with_vts(file: Path, corres: Path, listed: Mapping[str, tuple[str, str | No
     )
 
 
-def _of_one_connectivity(
+def _without_correspondences(
     folder: Path, files: list[Path], listed: Mapping[str, tuple[str, str | None]]
 ) -> list[Shape]:
-    first = read_mesh(files[0])
+    """Shapes of one connectivity, or such that correspond with no other."""
+    place, first = _first_readable(files)
     connectivity = _connectivity(first)
+    compared = np.unique(np.linspace(0, len(files) - 1, num=_COMPARED).round().astype(int))[1:]
+    if not all(_has_connectivity(files[i], connectivity) for i in compared[::-1]):
+        return [_alone(file, listed) for file in files]
     shapes = []
     for file in files:
         subject, template = _identity(file.stem, listed)
@@ -166,13 +209,33 @@ def _of_one_connectivity(
                 name=file.stem,
                 subject=subject,
                 template=template,
-                mesh=partial(_read_alike, file, files[0].name, connectivity),
+                mesh=partial(_read_alike, file, files[place].name, connectivity),
                 correspondence=everywhere,
                 parts=parts,
             )
         )
-    shapes[-1].mesh()  # of tens of thousands the others are checked when they are read
     return shapes
+
+
+def _first_readable(files: list[Path]) -> tuple[int, Mesh]:
+    """The place of the first mesh that can be read, and the mesh."""
+    for place, file in enumerate(files[:-1]):
+        if mesh := _readable(file):
+            return place, mesh
+    return len(files) - 1, read_mesh(files[-1])
+
+
+def _has_connectivity(file: Path, connectivity: str) -> bool:
+    """Whether a mesh has a connectivity; one that cannot be read is reported when it is used."""
+    mesh = _readable(file)
+    return mesh is None or _connectivity(mesh) == connectivity
+
+
+def _readable(file: Path) -> Mesh | None:
+    try:
+        return read_mesh(file)
+    except InputError:
+        return None
 
 
 def _read_alike(file: Path, first: str, connectivity: str) -> Mesh:
@@ -180,8 +243,8 @@ def _read_alike(file: Path, first: str, connectivity: str) -> Mesh:
     mesh = read_mesh(file)
     if _connectivity(mesh) != connectivity:
         raise InputError(
-            f"'{file.name}' has another connectivity than '{first}'. Meshes of several "
-            "connectivities need correspondences: put them in 'shapes/' and 'corres/NAME.vts'."
+            f"'{file.name}' has another connectivity than '{first}', unlike most in its folder: "
+            "remove it, or put correspondences of all into 'corres/NAME.vts'."
         )
     return mesh
 

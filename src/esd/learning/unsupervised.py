@@ -1,0 +1,545 @@
+"""Learning without correspondences: from unregistered meshes of one class, in minutes.
+
+The network teaches itself: see `esd.learning.teacher`. Beside its own maps, whatever is known is
+used: deformed copies of each shape, landmarks, and correspondences of some of the shapes.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+from scipy import sparse
+from scipy.sparse import csgraph
+
+from esd.common import FloatArray, InputError, whole_file
+from esd.datasets.collection import Collection
+from esd.learning.model import Layer, Model, standardised
+from esd.learning.network import linear_layers, seeded_network
+from esd.learning.presets import Training
+from esd.learning.samples import Samples, collection_samples, moments
+from esd.learning.teacher import FIRST_SIZES, Lesson, Rows, is_reliable, lesson
+from esd.spectral.cache import Cache, content_key
+
+_LARGEST_SEED = 2**32 - 1
+_LAST_RATE = 0.05  # of the learning rate, at the end of its cosine
+_TRIES = 5  # pairs tried in a step until one teaches something
+_NEAR = 0.04  # over √area: points nearer to each other than this are no negatives
+_PARTNERS = 6  # with which each shape is matched in the end, to see whether it found its place
+_USUAL = 0.8  # quantile of the shares of reliable matches that counts as usual
+_BELONGING = 0.7  # of the usual share of reliable matches, above which two shapes are of one class
+
+
+@dataclass(frozen=True, slots=True)
+class Teaching:
+    """How an embedding is learned without correspondences.
+
+    Parameters
+    ----------
+    steps
+        Pairs of shapes that are matched.
+    updates
+        Steps of the optimiser for each: on the last matches, then on such of `recent` pairs.
+    recent
+        Number of pairs whose matches are remembered.
+    points
+        Points of each shape that are kept.
+    drawn
+        Points of either shape of a pair that are matched.
+    batch
+        Matches in an update.
+    copies
+        Smoothly deformed copies of each shape, which are trained on as well.
+    eigenfunctions
+        Number with which the refinement of a map ends, in the last step.
+    learning_rate
+        Of Adam, in the first step; it falls as a cosine.
+    validate_every
+        Steps between two points of the curve, and between two checkpoints.
+    """
+
+    steps: int = 400
+    updates: int = 3
+    recent: int = 12
+    points: int = 4000
+    drawn: int = 1500
+    batch: int = 400
+    copies: int = 2
+    eigenfunctions: int = 100
+    learning_rate: float = 1e-3
+    validate_every: int = 50
+
+
+@dataclass(frozen=True, slots=True)
+class TeachingProgress:
+    """Where a training without correspondences stands.
+
+    Parameters
+    ----------
+    step, steps
+        Steps done, and to be done.
+    loss
+        Mean since the last point of the curve; None if no pair taught anything.
+    returning, oriented
+        Mean shares of the tried points that return, and that keep their orientation, over the
+        pairs since then. A training can fail with both high, but does not succeed with them low.
+    validation
+        Mean share that does both between shapes that are held out and those trained on, or None.
+    """
+
+    step: int
+    steps: int
+    loss: float | None
+    returning: float
+    oriented: float
+    validation: float | None = None
+
+
+@dataclass(slots=True, eq=False)
+class _Run:
+    """All that changes during a training, and that a checkpoint keeps."""
+
+    network: torch.nn.Sequential
+    optimiser: torch.optim.Adam
+    step: int = 0
+    curve: list[TeachingProgress] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Matches:
+    """What a pair of shapes taught."""
+
+    source: Samples
+    target: Samples
+    lesson: Lesson
+
+
+def train_unsupervised(
+    collection: Collection,
+    training: Training,
+    *,
+    teaching: Teaching | None = None,
+    name: str = "model",
+    seed: int = 0,
+    validation: Collection | None = None,
+    start: Model | None = None,
+    checkpoint: str | os.PathLike[str] | None = None,
+    workers: int | None = 1,
+    cache: Cache | None = None,
+    on_shape: Callable[[], None] = lambda: None,
+    on_progress: Callable[[TeachingProgress], None] = lambda _: None,
+) -> Model:
+    """The embedding learned from shapes of one class, whose correspondences need not be known.
+
+    Correspondences of shapes of one template, and landmarks, are used where there are some. Equal
+    arguments and equal numbers of threads give equal weights, also when the training was
+    interrupted and resumed from its checkpoint. The model's card lists under `groups` the shapes
+    that came to match each other, the largest group first: of one class there is one, and a shape
+    that found no place is a group of its own. Under `left_out` are those that could not be
+    described, with the reason.
+
+    Parameters
+    ----------
+    collection
+        Of meshes of any connectivity.
+    training
+        Whose recipe and network are used; its loss must be `infonce`.
+    validation
+        Shapes that are not trained on. Nothing depends on them but the curve.
+    start
+        A model of the same recipe and network from whose weights the training starts.
+    checkpoint
+        A file from which an interrupted training resumes, and which is removed at its end.
+    workers
+        Number of processes that describe shapes; None for one a core.
+    cache
+        Where spectra are looked up and kept.
+    on_shape, on_progress
+        Called after each shape is described, and at each point of the curve.
+
+    Raises
+    ------
+    InputError
+        If the training or the start does not fit, fewer than two shapes can be described, or the
+        checkpoint belongs to another training.
+
+    References
+    ----------
+    Cao, Roetzer, Bernard 2023, *Unsupervised learning of robust spectral shape matching*, for the
+    task; InfoNCE as in `esd.learning.losses`.
+    """
+    teaching = teaching or Teaching()
+    if training.loss != "infonce" or training.patches is not None:
+        raise InputError(
+            "Learning without correspondences takes presets with loss 'infonce', such as "
+            f"'oriented'; this one has '{training.loss}'. Add correspondences, or change it."
+        )
+    if not 0 <= seed <= _LARGEST_SEED:
+        raise InputError(f"`seed` must be from 0 to {_LARGEST_SEED}; got {seed}.")
+    if start is not None:
+        _check_start(start, training)
+    describe = partial(
+        collection_samples,
+        recipe=training.recipe,
+        points=teaching.points,
+        eigenfunctions=teaching.eigenfunctions,
+        workers=workers,
+        cache=cache,
+        on_shape=on_shape,
+    )
+    described = describe(collection, copies=teaching.copies, seed=seed)
+    if len(described.samples) < 2:
+        reasons = "".join(f" '{key}': {why}" for key, why in described.failures.items())
+        raise InputError(
+            "Learning without correspondences needs two shapes or more, and is good from about "
+            f"ten on; got {len(described.samples)} that can be used.{reasons}"
+        )
+    mean, deviation = moments(described.samples) if start is None else (start.mean, start.deviation)
+    scaled = partial(_standardised, mean=mean, deviation=deviation, limit=training.limit)
+    samples = tuple(scaled(each) for each in described.samples)
+    left_out = dict(described.failures)
+    del described
+    held: tuple[Samples, ...] = ()
+    if validation is not None:
+        held = tuple(scaled(each) for each in describe(validation, copies=0, seed=seed).samples)
+
+    run = _started(training, teaching, seed, start)
+    path = Path(checkpoint) if checkpoint is not None else None
+    identity = _identity(samples, held, training, teaching, seed, start)
+    if path is not None and path.exists():
+        _resume(run, path, identity)
+    while run.step < teaching.steps:
+        _advance(run, samples, held, training, teaching, seed)
+        if path is not None:
+            _save_checkpoint(run, path, identity)
+        on_progress(run.curve[-1])
+    if path is not None:
+        path.unlink(missing_ok=True)
+    layers = tuple(
+        Layer(layer.weight.detach().numpy(), layer.bias.detach().numpy())
+        for layer in linear_layers(run.network)
+    )
+    card = {
+        "data": collection.name,
+        "shapes": [each.name for each in samples],
+        "validation_shapes": [each.name for each in held],
+        "left_out": left_out,
+        "groups": [list(group) for group in _groups(run, samples, teaching, seed)],
+        "known": [each.name for each in samples if each.known],
+        "training": _settings(training),
+        "teaching": asdict(teaching),
+        "start": None if start is None else start.name,
+        "seed": seed,
+        "steps_done": run.step,
+        "curve": [asdict(point) for point in run.curve],
+        "threads": torch.get_num_threads(),
+        "torch": str(torch.__version__),
+    }
+    return Model(
+        name=name,
+        recipe=training.recipe,
+        mean=mean,
+        deviation=deviation,
+        layers=layers,
+        limit=training.limit,
+        unit_length=True,
+        card=card,
+    )
+
+
+def _settings(training: Training) -> dict[str, Any]:
+    settings = asdict(training)
+    del settings["recipe"]  # the model has it
+    return settings
+
+
+def _check_start(start: Model, training: Training) -> None:
+    """Raise an `InputError` unless a training can start from a model."""
+    widths = [layer.weight.shape[0] for layer in start.layers]
+    wanted = [*training.hidden, training.outputs]
+    if start.recipe.to_json() != training.recipe.to_json() or widths != wanted:
+        raise InputError(
+            f"The training cannot start from '{start.name}': its descriptors or its layers "
+            f"({widths}) are not those of the preset ({wanted}). Start from a model of the same "
+            "preset, or from none."
+        )
+
+
+def _standardised(
+    samples: Samples,
+    *,
+    mean: FloatArray,
+    deviation: FloatArray,
+    limit: float | None,
+) -> Samples:
+    """The samples with descriptors as the network takes them; undefined ones at their mean."""
+    values = tuple(
+        np.nan_to_num(standardised(part, mean, deviation, limit=limit)).astype(np.float32)
+        for part in samples.values
+    )
+    return replace(samples, values=values)
+
+
+def _started(training: Training, teaching: Teaching, seed: int, start: Model | None) -> _Run:
+    widths = [training.recipe.width, *training.hidden, training.outputs]
+    network = seeded_network(widths, seed)
+    if start is not None:
+        with torch.no_grad():
+            for layer, known in zip(linear_layers(network), start.layers, strict=True):
+                layer.weight.copy_(torch.from_numpy(known.weight))
+                layer.bias.copy_(torch.from_numpy(known.bias))
+    optimiser = torch.optim.Adam(network.parameters(), lr=teaching.learning_rate)
+    for parameter in network.parameters():  # the moments exist from the start, as in checkpoints
+        optimiser.state[parameter] = {
+            "step": torch.tensor(0.0),
+            "exp_avg": torch.zeros_like(parameter),
+            "exp_avg_sq": torch.zeros_like(parameter),
+        }
+    return _Run(network, optimiser)
+
+
+def _advance(
+    run: _Run,
+    samples: Sequence[Samples],
+    held: Sequence[Samples],
+    training: Training,
+    teaching: Teaching,
+    seed: int,
+) -> None:
+    """Train to the next point of the curve, or to the last step."""
+    stop = min(run.step + teaching.validate_every, teaching.steps)
+    recent: list[_Matches] = []  # begun anew after each checkpoint, so that resuming is the same
+    tried: list[Lesson] = []
+    losses: list[float] = []
+    for step in range(run.step, stop):
+        share = step / teaching.steps
+        fall = (1 + math.cos(math.pi * share)) / 2
+        rate = teaching.learning_rate * (_LAST_RATE + (1 - _LAST_RATE) * fall)
+        run.optimiser.param_groups[0]["lr"] = rate
+        generator = np.random.default_rng((seed, step))
+        for _ in range(_TRIES):
+            source, target = generator.choice(len(samples), size=2, replace=False)
+            found = _lesson(run, samples[source], samples[target], teaching, share, generator)
+            tried.append(found)
+            if is_reliable(found):
+                recent.append(_Matches(samples[source], samples[target], found))
+                del recent[: -teaching.recent]
+                break
+        if not recent:
+            continue
+        dropout = torch.Generator().manual_seed(_LARGEST_SEED * step + seed)
+        for update in range(teaching.updates):
+            which = generator.integers(len(recent)) if update else -1
+            loss = _loss(run.network, recent[which], training, teaching, generator, dropout)
+            run.optimiser.zero_grad()
+            loss.backward()
+            run.optimiser.step()
+            losses.append(float(loss.detach()))
+    run.step = stop
+    validation = None
+    if held:
+        validation = _validation(run, samples, held, teaching, seed)
+    run.curve.append(
+        TeachingProgress(
+            step=run.step,
+            steps=teaching.steps,
+            loss=float(np.mean(losses)) if losses else None,
+            returning=float(np.mean([each.returning for each in tried])),
+            oriented=float(np.mean([each.oriented for each in tried])),
+            validation=validation,
+        )
+    )
+
+
+def _sizes(last: int, share: float) -> list[int]:
+    """Numbers of eigenfunctions of a refinement, of which more are used as the training goes on."""
+    end = round(FIRST_SIZES[-1] + (last - FIRST_SIZES[-1]) * share)
+    middle = [round(math.sqrt(FIRST_SIZES[-1] * end))] if end > 3 * FIRST_SIZES[-1] else []
+    return [*FIRST_SIZES, *middle, max(end, FIRST_SIZES[-1])]
+
+
+def _lesson(
+    run: _Run,
+    source: Samples,
+    target: Samples,
+    teaching: Teaching,
+    share: float,
+    generator: np.random.Generator,
+) -> Lesson:
+    """What the network, as it is, has to teach about a pair."""
+
+    def embed(values: Rows) -> Rows:
+        with torch.no_grad():
+            rows = torch.nn.functional.normalize(run.network(torch.from_numpy(values)), dim=1)
+        return np.asarray(rows.numpy())
+
+    return lesson(
+        source,
+        target,
+        embed,
+        sizes=_sizes(teaching.eigenfunctions, share),
+        count=teaching.drawn,
+        generator=generator,
+    )
+
+
+def _loss(
+    network: torch.nn.Sequential,
+    matches: _Matches,
+    training: Training,
+    teaching: Teaching,
+    generator: np.random.Generator,
+    dropout: torch.Generator,
+) -> torch.Tensor:
+    """InfoNCE of some matches, between copies of the two shapes drawn at random.
+
+    Weighed by how much of the map could be relied on; what is known is added to it. Points near
+    each other are not told apart.
+    """
+    known = matches.source.shared(matches.target)
+    taught = matches.lesson.source, matches.lesson.target
+    room = max(teaching.batch - len(known[0]), teaching.batch // 2)
+    order = generator.permutation(len(taught[0]))[:room]
+    also = generator.permutation(len(known[0]))[: teaching.batch // 2]
+    source, target = (
+        np.concatenate([rows[order], exact[also]])
+        for rows, exact in zip(taught, known, strict=True)
+    )
+    weight = matches.lesson.returning * matches.lesson.kept
+    embedded = []
+    near = np.zeros((len(source), len(source)), dtype=bool)
+    for shape, rows in ((matches.source, source), (matches.target, target)):
+        values = torch.from_numpy(shape.values[generator.integers(len(shape.values))][rows])
+        remaining = torch.rand(values.shape, generator=dropout) >= training.dropout
+        output = network(values * remaining / (1 - training.dropout))
+        embedded.append(torch.nn.functional.normalize(output, dim=1))
+        near |= _are_near(shape.positions[rows])
+    similarity = embedded[0] @ embedded[1].T / training.temperature
+    np.fill_diagonal(near, False)
+    similarity = similarity.masked_fill(torch.from_numpy(near), -torch.inf)
+    ways = similarity.logsumexp(dim=0) + similarity.logsumexp(dim=1)
+    return weight * (ways / 2 - similarity.diagonal()).mean()
+
+
+def _are_near(positions: Rows) -> npt.NDArray[np.bool_]:
+    """Whether any two points are too near to be told apart, (b, b)."""
+    squares = (positions**2).sum(axis=1)
+    return squares[:, None] + squares - 2 * positions @ positions.T < _NEAR**2
+
+
+def _validation(
+    run: _Run,
+    samples: Sequence[Samples],
+    held: Sequence[Samples],
+    teaching: Teaching,
+    seed: int,
+) -> float:
+    """Mean share of reliable matches between each shape held out and one that is trained on."""
+    generator = np.random.default_rng((_LARGEST_SEED, seed))
+    share = run.step / teaching.steps
+    partners = generator.integers(len(samples), size=len(held))
+    kept = [
+        _lesson(run, shape, samples[partner], teaching, share, generator).kept
+        for shape, partner in zip(held, partners, strict=True)
+    ]
+    return float(np.mean(kept))
+
+
+def _groups(
+    run: _Run, samples: Sequence[Samples], teaching: Teaching, seed: int
+) -> tuple[tuple[str, ...], ...]:
+    """Names of the shapes that match each other, the largest group first.
+
+    Each shape is matched with some others, the next ones in a random order, and two belong
+    together if the share of reliable matches is not much less than it usually is.
+    """
+    count = len(samples)
+    generator = np.random.default_rng((_LARGEST_SEED, seed))
+    order = generator.permutation(count)
+    offsets = range(1, min(_PARTNERS, count // 2) + 1)
+    pairs = {
+        tuple(sorted((int(order[i]), int(order[(i + offset) % count]))))
+        for i in range(count)
+        for offset in offsets
+    }
+    i, j = np.array(sorted(pairs), dtype=np.int64).T
+    kept = np.array(
+        [
+            _lesson(run, samples[a], samples[b], teaching, 1.0, generator).kept
+            for a, b in zip(i.tolist(), j.tolist(), strict=True)
+        ]
+    )
+    belong = kept >= _BELONGING * np.quantile(kept, _USUAL)
+    graph = sparse.coo_array((belong, (i, j)), shape=(count, count))
+    graph.eliminate_zeros()
+    _, label = csgraph.connected_components(graph, directed=False)
+    groups = [
+        tuple(samples[k].name for k in np.flatnonzero(label == g).tolist()) for g in set(label)
+    ]
+    return tuple(sorted(groups, key=lambda group: (-len(group), group)))
+
+
+def _identity(
+    samples: Sequence[Samples],
+    held: Sequence[Samples],
+    training: Training,
+    teaching: Teaching,
+    seed: int,
+    start: Model | None,
+) -> str:
+    """What a training depends on; a checkpoint is resumed only by the same."""
+    arrays = [array for each in (*samples, *held) for array in (*each.values, each.eigenvectors)]
+    arrays += [layer.weight for layer in start.layers] if start is not None else []
+    known = [sorted(each.known.items()) for each in samples]
+    settings = {"training": asdict(training), "teaching": asdict(teaching), "known": known}
+    return content_key("unsupervised", *arrays, seed=seed, **settings)
+
+
+def _save_checkpoint(run: _Run, path: Path, identity: str) -> None:
+    tensors: dict[str, torch.Tensor] = {}
+    for i, parameter in enumerate(run.network.parameters()):
+        state = run.optimiser.state[parameter]
+        tensors |= {
+            f"{i}.weight": parameter.detach(),
+            f"{i}.updates": state["step"],
+            f"{i}.first_moment": state["exp_avg"],
+            f"{i}.second_moment": state["exp_avg_sq"],
+        }
+    curve = json.dumps([asdict(point) for point in run.curve])
+    with whole_file(path) as temporary:
+        temporary.write_bytes(save(tensors, {"identity": identity, "curve": curve}))
+
+
+def _resume(run: _Run, path: Path, identity: str) -> None:
+    try:
+        with safe_open(path, framework="pt") as file:
+            metadata = file.metadata() or {}
+            tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+    except (SafetensorError, OSError) as error:
+        raise InputError(f"The checkpoint '{path}' is damaged; remove it: {error}.") from error
+    if metadata.get("identity") != identity:
+        raise InputError(
+            f"The checkpoint '{path}' belongs to another training (other data, preset or seed). "
+            "Choose another output, or remove it."
+        )
+    run.curve = [TeachingProgress(**point) for point in json.loads(metadata["curve"])]
+    run.step = run.curve[-1].step
+    with torch.no_grad():
+        for i, parameter in enumerate(run.network.parameters()):
+            parameter.copy_(tensors[f"{i}.weight"])
+            run.optimiser.state[parameter] = {
+                "step": tensors[f"{i}.updates"],
+                "exp_avg": tensors[f"{i}.first_moment"],
+                "exp_avg_sq": tensors[f"{i}.second_moment"],
+            }

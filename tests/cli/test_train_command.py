@@ -1,0 +1,61 @@
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from esd.datasets.deformation import deformed
+from esd.mesh.io.meshes import write_mesh
+from esd.mesh.mesh import Mesh
+from esd.mesh.shapes import icosphere
+
+
+def run(*arguments: object, expect: int = 0) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "esd", *map(str, arguments)]
+    environment = {**os.environ, "COLUMNS": "200"}
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+    assert done.returncode == expect, done.stderr
+    assert "Traceback" not in done.stderr
+    return done
+
+
+@pytest.fixture
+def unregistered(tmp_path):
+    """A folder of three ellipsoids with three feet, each with its vertices in another order."""
+    folder = tmp_path / "unregistered"
+    folder.mkdir()
+    ball = icosphere(3)
+    feet = np.array([[0.8, 0.6, 0], [0, 0.6, 0.8], [-0.6, 0, -0.8]])
+    length = np.exp(12 * (ball.vertices @ feet.T - 1)) @ np.array([2.0, 1.2, 0.7])
+    mesh = Mesh(ball.vertices * [1.0, 1.2, 1.5] * (1 + length[:, None]), ball.faces)
+    for i in range(3):
+        copy = deformed(mesh, seed=i, strain=0.1)
+        order = np.random.default_rng(i).permutation(len(copy.vertices))
+        moved = Mesh(copy.vertices[order], np.argsort(order)[copy.faces])
+        write_mesh(moved, folder / f"s{i}.ply")
+    return folder
+
+
+def test_a_folder_of_unregistered_meshes_needs_no_option(unregistered, tmp_path):
+    (unregistered / "flat.ply").write_bytes((unregistered / "s0.ply").read_bytes()[:2000])
+    done = run("train", unregistered, "-o", tmp_path / "model", "--steps", 3)
+    assert "trained 3 steps" in done.stdout
+    assert "of 3 maps between training shapes: " in done.stdout
+    assert "left out: flat: " in done.stdout
+    card = json.loads((tmp_path / "model" / "config.json").read_text())["card"]
+    assert sum(card["verdicts"].values()) == 3
+    assert card["shapes"] == ["s0", "s1", "s2"]
+    assert card["curve"][-1]["step"] == 3
+
+
+def test_what_learning_without_correspondences_cannot_do_is_refused(unregistered, shapes, tmp_path):
+    where = ("-o", tmp_path / "model")
+    done = run("train", unregistered, *where, "--preset", "paper-hks", expect=1)
+    assert "has no correspondences, which the preset 'paper-hks' needs" in done.stderr
+    done = run("train", unregistered, *where, "--device", "auto", expect=2)
+    assert "runs on the CPU only" in done.stderr
+    done = run("train", shapes, *where, "--preset", "paper-hks", "--start", "default", expect=2)
+    assert "--start is for shapes without" in done.stderr
+    assert not (tmp_path / "model").exists()

@@ -1,0 +1,183 @@
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+
+from esd.common import InputError
+from esd.datasets.collection import Collection, Shape
+from esd.datasets.deformation import deformed
+from esd.descriptors.recipe import Descriptor, Recipe, gradient_recipe
+from esd.learning.model import load_model, save_model
+from esd.learning.presets import Training, preset
+from esd.learning.samples import collection_samples, moments, shape_samples
+from esd.mesh.mesh import Mesh
+from esd.mesh.shapes import icosphere, torus
+from esd.nearest import nearest
+
+pytest.importorskip("torch", reason="training needs the extra `train`")
+from esd.learning.unsupervised import Teaching, train_unsupervised
+
+RECIPE = Recipe(
+    (
+        Descriptor("hks", 20, log=True),
+        Descriptor("wks", 20, log=True),
+        gradient_recipe("chirality", "hks", columns=range(0, 20, 4), reach=2, times=(4e-3, 1.6e-2)),
+    ),
+    eigenpairs=60,
+)
+TRAINING = Training(RECIPE, hidden=(64,), outputs=16, limit=8.0, dropout=0.2, loss="infonce")
+TEACHING = Teaching(
+    steps=60, points=642, drawn=500, batch=250, copies=2, learning_rate=1e-2, validate_every=30
+)
+
+
+def knobbed(seed: int) -> Mesh:
+    """A ball with four knobs of different size and place, deformed; its vertices are shuffled."""
+    ball = icosphere(3)
+    knobs = np.array([[1, 0, 0], [0, 1, 0.2], [0.2, -0.5, 1], [-0.6, -0.6, -0.6]], dtype=float)
+    knobs /= np.linalg.norm(knobs, axis=1, keepdims=True)
+    closeness = np.exp(12 * (ball.vertices @ knobs.T - 1)) @ np.array([3.0, 2.0, 1.2, 2.5])
+    limbs = Mesh(ball.vertices * (1 + closeness[:, None]), ball.faces)
+    mesh = deformed(limbs, seed=seed, strain=0.1)
+    order = order_of(seed)
+    return Mesh(mesh.vertices[order], np.argsort(order)[mesh.faces])
+
+
+def order_of(seed: int) -> np.ndarray:
+    return np.random.default_rng(seed).permutation(642)
+
+
+def shape(seed: int, *, template: str | None = None) -> Shape:
+    everywhere = partial(np.arange, 642)
+    if template is not None:
+        everywhere = partial(np.argsort, order_of(seed))  # the vertex of each one of the ball
+    name = f"s{seed}"
+    return Shape(name, name, template or f"only {name}", partial(knobbed, seed), everywhere)
+
+
+@pytest.fixture(scope="module")
+def unregistered() -> Collection:
+    return Collection("knobbed", tuple(shape(seed) for seed in range(5)))
+
+
+def error(model, first: int, second: int) -> float:
+    """Mean distance of the nearest embeddings from the truth; the shapes are about six wide."""
+    source, target = knobbed(first), knobbed(second)
+    found, _ = nearest(model.embed_mesh(source), model.embed_mesh(target))
+    truth = np.argsort(order_of(second))[order_of(first)]
+    return float(np.linalg.norm(target.vertices[found] - target.vertices[truth], axis=1).mean())
+
+
+def test_shapes_never_seen_are_matched_after_training_without_correspondences(unregistered):
+    before = train_unsupervised(unregistered, TRAINING, teaching=replace(TEACHING, steps=1))
+    model = train_unsupervised(unregistered, TRAINING, teaching=TEACHING)
+    errors = [[error(each, *pair) for pair in ((10, 11), (12, 13))] for each in (before, model)]
+    assert np.mean(errors[1]) < 0.6
+    assert np.mean(errors[1]) < 0.85 * np.mean(errors[0])
+    card = model.card
+    assert card["groups"] == [["s0", "s1", "s2", "s3", "s4"]]
+    assert card["left_out"] == {}
+    assert [point["step"] for point in card["curve"]] == [30, 60]
+    assert card["curve"][1]["returning"] > 0.8
+
+
+def test_an_interrupted_training_resumes_to_the_same_weights(unregistered, tmp_path):
+    class StopError(Exception):
+        pass
+
+    def stop(progress):
+        if progress.step == 2:
+            raise StopError
+
+    short = replace(TEACHING, steps=4, drawn=300, copies=1, validate_every=2)
+    run = partial(train_unsupervised, unregistered, TRAINING, teaching=short, seed=3)
+    whole = run()
+    file = tmp_path / "checkpoint"
+    with pytest.raises(StopError):
+        run(checkpoint=file, on_progress=stop)
+    resumed = run(checkpoint=file)
+    assert not file.exists()
+    for first, second in zip(whole.layers, resumed.layers, strict=True):
+        np.testing.assert_array_equal(first.weight, second.weight)
+    assert whole.card["curve"] == resumed.card["curve"]
+    with pytest.raises(StopError):
+        run(checkpoint=file, on_progress=stop)
+    with pytest.raises(InputError, match="belongs to another training"):
+        run(checkpoint=file, seed=4)
+    file.write_bytes(b"damaged")
+    with pytest.raises(InputError, match="is damaged"):
+        run(checkpoint=file)
+
+
+def test_models_are_saved_with_their_curve_and_can_be_started_from(unregistered, tmp_path):
+    short = replace(TEACHING, steps=2, validate_every=1)
+    held = Collection("held", (shape(7),))
+    model = train_unsupervised(unregistered, TRAINING, teaching=short, validation=held)
+    assert all(0 <= point["validation"] <= 1 for point in model.card["curve"])
+    assert model.card["validation_shapes"] == ["s7"]
+    save_model(model, tmp_path / "model")
+    start = load_model(tmp_path / "model")
+    slow = replace(short, learning_rate=1e-9)
+    other = train_unsupervised(unregistered, TRAINING, teaching=slow, start=start)
+    for first, second in zip(start.layers, other.layers, strict=True):
+        np.testing.assert_allclose(first.weight, second.weight, atol=1e-7)
+    assert other.card["start"] == "model"
+    with pytest.raises(InputError, match="cannot start from 'model'"):
+        train_unsupervised(unregistered, preset("oriented"), teaching=short, start=start)
+
+
+def test_known_correspondences_and_broken_shapes_among_others(unregistered):
+    flat = Mesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+    broken = Shape("flat", "flat", "only flat", lambda: flat, partial(np.arange, 3))
+    some = (shape(0, template="ball"), shape(1, template="ball"), broken, shape(2))
+    short = replace(TEACHING, steps=2)
+    model = train_unsupervised(Collection("some", some), TRAINING, teaching=short)
+    assert model.card["shapes"] == ["s0", "s1", "s2"]
+    assert model.card["known"] == ["s0", "s1"]
+    assert list(model.card["left_out"]) == ["flat"]
+    with pytest.raises(InputError, match=r"two shapes or more.*got 1 that can be used. 'flat': "):
+        train_unsupervised(Collection("one", some[2:]), TRAINING, teaching=short)
+    with pytest.raises(InputError, match="takes presets with loss 'infonce'"):
+        train_unsupervised(unregistered, preset("paper-hks"))
+    with pytest.raises(InputError, match="`seed` must be from 0"):
+        train_unsupervised(unregistered, TRAINING, seed=-1)
+
+
+def test_shapes_of_another_class_are_a_group_of_their_own(unregistered):
+    mesh = torus(32, 20)
+    rings = [deformed(mesh, seed=seed, strain=0.1) for seed in (20, 21)]
+    other = [
+        Shape(f"ring{i}", f"{i}", f"only {i}", partial(Mesh, ring.vertices, ring.faces), len)
+        for i, ring in enumerate(rings)
+    ]
+    mixed = Collection("mixed", (*other, *unregistered.shapes))
+    model = train_unsupervised(mixed, TRAINING, teaching=TEACHING)
+    assert model.card["groups"][0] == ["s0", "s1", "s2", "s3", "s4"]
+
+
+def test_samples_hold_known_points_and_copies_at_the_same_places():
+    describe = partial(
+        shape_samples, recipe=RECIPE, points=200, eigenfunctions=30, copies=2, seed=0
+    )
+    first, second = (describe(shape(seed, template="ball"), is_known=True) for seed in (0, 1))
+    source, target = first.shared(second)
+    assert len(source) == len(target) == 400
+    assert len(first.values) == 3
+    assert {values.shape for values in first.values} == {(len(first.positions), RECIPE.width)}
+    assert first.eigenvectors.shape == (len(first.positions), 30)
+    assert len(first.closeness) == 32
+    name = next(iter(first.closeness))
+    assert first.closeness[name].argmax() == first.known[name]
+    assert first.closeness[name].max() == pytest.approx(20)
+    assert describe(shape(0)).known == {}
+
+
+def test_moments_are_those_of_all_points_and_copies(unregistered):
+    described = collection_samples(
+        unregistered, recipe=RECIPE, points=100, eigenfunctions=30, copies=1
+    )
+    values = np.concatenate([part for each in described.samples for part in each.values])
+    mean, deviation = moments(described.samples)
+    np.testing.assert_allclose(mean, values.mean(axis=0, dtype=float), rtol=1e-6)
+    np.testing.assert_allclose(deviation, values.std(axis=0, dtype=float), rtol=1e-6)
