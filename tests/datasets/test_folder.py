@@ -181,3 +181,13 @@ def test_bad_vts_files_are_refused(tmp_path, text, message):
         read_vts(tmp_path / "x.vts")
     with pytest.raises(InputError, match="There is no correspondence"):
         read_vts(tmp_path / "y.vts")
+
+
+def test_landmarks_of_some_shapes_are_read(registered):
+    (registered / "landmarks").mkdir()
+    (registered / "landmarks" / "tr_reg_010.csv").write_text("name,vertex\nnose,3\near,7\n")
+    collection = folder_collection(registered)
+    assert collection["tr_reg_000"].landmarks is None
+    landmarks = collection["tr_reg_010"].landmarks()
+    assert landmarks.names == ("nose", "ear")
+    np.testing.assert_array_equal(landmarks.vertices, [3, 7])

@@ -11,6 +11,8 @@ from esd.descriptors.recipe import Descriptor, Recipe, gradient_recipe
 from esd.learning.model import load_model, save_model
 from esd.learning.presets import Training, preset
 from esd.learning.samples import collection_samples, moments, shape_samples
+from esd.mesh.geometry import surface_area
+from esd.mesh.io.fields import Landmarks
 from esd.mesh.mesh import Mesh
 from esd.mesh.shapes import icosphere, torus
 from esd.nearest import nearest
@@ -181,3 +183,13 @@ def test_moments_are_those_of_all_points_and_copies(unregistered):
     mean, deviation = moments(described.samples)
     np.testing.assert_allclose(mean, values.mean(axis=0, dtype=float), rtol=1e-6)
     np.testing.assert_allclose(deviation, values.std(axis=0, dtype=float), rtol=1e-6)
+
+
+def test_landmarks_are_known_points():
+    landmarks = Landmarks(("nose", "ear", "lost"), np.array([5, 9, -1]))
+    marked = replace(shape(0), landmarks=lambda: landmarks)
+    samples = shape_samples(marked, recipe=RECIPE, points=100, eigenfunctions=30, copies=0, seed=0)
+    assert list(samples.known) == ["landmark nose", "landmark ear"]
+    area = np.sqrt(surface_area(knobbed(0)))
+    places = samples.positions[list(samples.known.values())]
+    np.testing.assert_allclose(places, knobbed(0).vertices[[5, 9]] / area, rtol=1e-5)

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from esd.common import InputError, IntArray
+from esd.mesh.io.fields import Landmarks
 from esd.mesh.mesh import Mesh
 from esd.mesh.repair.repair import Repaired, repair
 
@@ -39,6 +40,9 @@ class Shape:
     parts
         Reads the name of the part of the body that each point of the template belongs to, (p,), or
         None where none are known.
+    landmarks
+        Reads its landmarks, those of one name corresponding on all shapes of a class, or None where
+        none are known.
     """
 
     name: str
@@ -48,6 +52,7 @@ class Shape:
     correspondence: Callable[[], IntArray]
     symmetric: Callable[[], IntArray] | None = None
     parts: Callable[[], npt.NDArray[np.str_]] | None = None
+    landmarks: Callable[[], Landmarks] | None = None
 
 
 @dataclass(frozen=True, slots=True)

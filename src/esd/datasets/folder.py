@@ -7,6 +7,7 @@ import logging
 import os
 import re
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -15,6 +16,7 @@ import numpy.typing as npt
 
 from esd.common import InputError, IntArray
 from esd.datasets.collection import Collection, Shape
+from esd.mesh.io.fields import Landmarks, read_landmarks
 from esd.mesh.io.meshes import FORMATS, read_mesh
 from esd.mesh.mesh import Mesh
 from esd.spectral.cache import content_key
@@ -47,6 +49,8 @@ def folder_collection(path: str | os.PathLike[str]) -> Collection:
     `parts/names.txt` may hold the names of the parts of the body, and `parts/NAME.txt`, for one or
     more of the shapes, the number, from 0, of the part of each vertex, one a line.
 
+    `landmarks/NAME.csv` may hold the landmarks of a shape, see `esd.mesh.io.fields.read_landmarks`.
+
     Raises
     ------
     InputError
@@ -70,6 +74,8 @@ def folder_collection(path: str | os.PathLike[str]) -> Collection:
             break
     else:
         shapes = _without_correspondences(folder, files, listed)
+    by_name = {file.stem: file for file in files}
+    shapes = [_with_landmarks(shape, by_name[shape.name], folder) for shape in shapes]
     return Collection(folder.resolve().name, tuple(shapes))
 
 
@@ -172,6 +178,18 @@ def _alone(file: Path, listed: Mapping[str, tuple[str, str | None]]) -> Shape:
 
 def _all_vertices(file: Path) -> IntArray:
     return np.arange(len(read_mesh(file).vertices))
+
+
+def _with_landmarks(shape: Shape, file: Path, folder: Path) -> Shape:
+    """A shape with its landmarks, if the data set has them."""
+    landmarks = folder / "landmarks" / f"{shape.name}.csv"
+    if not landmarks.is_file():
+        return shape
+    return replace(shape, landmarks=partial(_landmarks, file, landmarks))
+
+
+def _landmarks(file: Path, landmarks: Path) -> Landmarks:
+    return read_landmarks(landmarks, read_mesh(file))
 
 
 def _with_vts(file: Path, corres: Path, listed: Mapping[str, tuple[str, str | None]]) -> Shape:

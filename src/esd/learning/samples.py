@@ -23,7 +23,7 @@ from esd.spectral.cache import Cache
 MARKS = 32
 """Largest number of known points whose distances lead a map."""
 
-_KNOWN = 400  # points of a template that are kept, of each of its shapes the same
+_TEMPLATE_POINTS = 400  # points of a template that are kept, of each of its shapes the same
 _NEAR = 0.05  # over √area: added to distances from known points before they are inverted
 
 
@@ -114,7 +114,9 @@ def shape_samples(
         raise InputError("it has no faces, which the descriptors need")
     mesh = turned_outward(repaired.shape)
     spectrum = recipe_spectrum(recipe, mesh, cache=cache).with_area(1.0)
-    known = _known(shape, template_points) if is_known else {}
+    known = _landmarks(shape, repaired.vertex_index)
+    if is_known:
+        known |= _template_points(shape, template_points)
     area = vertex_areas(mesh)
     area[len(area) - repaired.filling :] = 0.0
     generator = np.random.default_rng(seed)
@@ -215,12 +217,20 @@ def _numbered_samples(
     )
 
 
-def _known(shape: Shape, template_points: IntArray) -> dict[str, int]:
-    """Vertices whose counterparts are known, by name: some points of the shape's template."""
-    order = np.random.default_rng(0).permutation(len(template_points))[:_KNOWN]
-    return {
-        f"{shape.template} {i}": int(template_points[i]) for i in order if template_points[i] >= 0
-    }
+def _landmarks(shape: Shape, vertex_index: IntArray) -> dict[str, int]:
+    """Vertices of the repaired mesh that are landmarks of the shape, by name."""
+    if shape.landmarks is None:
+        return {}
+    landmarks = shape.landmarks()
+    place = vertex_index[landmarks.vertices].tolist()
+    found = zip(landmarks.names, landmarks.vertices.tolist(), place, strict=True)
+    return {f"landmark {name}": there for name, here, there in found if here >= 0 <= there}
+
+
+def _template_points(shape: Shape, points: IntArray) -> dict[str, int]:
+    """Vertices at some points of the shape's template, by name."""
+    order = np.random.default_rng(0).permutation(len(points))[:_TEMPLATE_POINTS].tolist()
+    return {f"{shape.template} {i}": int(points[i]) for i in order if points[i] >= 0}
 
 
 def moments(samples: tuple[Samples, ...]) -> tuple[FloatArray, FloatArray]:
