@@ -19,9 +19,9 @@ JOBS = 12
 
 OUTCOMES = """
 import sys
-from esd.parallel import outcomes
+from esd.parallel import Workers, outcomes
 from test_cluster import slow_square, JOBS
-for outcome in outcomes(slow_square, range(JOBS), scheduler=sys.argv[1]):
+for outcome in outcomes(slow_square, range(JOBS), workers=Workers(scheduler=sys.argv[1])):
     print(outcome.job, outcome.result, outcome.failure, flush=True)
 """
 

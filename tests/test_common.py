@@ -1,11 +1,112 @@
+import os
 import re
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
-from esd.common import install_hint
+import esd.common as common
+from esd.common import InputError, check_can_be_made, install_hint, whole_file, whole_folder
 
 ROOT = Path(__file__).parents[1]
+
+
+def test_a_file_keeps_its_permissions_and_its_link(tmp_path):
+    secret, link = tmp_path / "secret.txt", tmp_path / "link.txt"
+    secret.write_text("old")
+    secret.chmod(0o600)
+    link.symlink_to(secret)
+    with whole_file(link) as temporary:
+        temporary.write_text("new")
+    assert link.is_symlink()
+    assert secret.read_text() == "new"
+    assert secret.stat().st_mode & 0o777 == 0o600
+    before = os.umask(0o027)
+    try:
+        with whole_file(tmp_path / "a" / "b" / "fresh.txt") as temporary:
+            temporary.write_text("new")
+    finally:
+        os.umask(before)
+    assert (tmp_path / "a" / "b" / "fresh.txt").stat().st_mode & 0o777 == 0o640
+
+
+def test_what_fails_leaves_the_old_file_and_the_old_folder(tmp_path):
+    file, folder = tmp_path / "f.txt", tmp_path / "d"
+    file.write_text("old")
+    folder.mkdir()
+    (folder / "old").touch()
+    with pytest.raises(KeyError), whole_file(file) as temporary:
+        temporary.write_text("half")
+        raise KeyError
+    with pytest.raises(KeyError), whole_folder(folder) as temporary:
+        (temporary / "half").touch()
+        raise KeyError
+    assert file.read_text() == "old"
+    assert [path.name for path in folder.iterdir()] == ["old"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["d", "f.txt"]
+
+
+@pytest.mark.parametrize("can_exchange", [True, False])
+def test_a_folder_is_replaced_whole(tmp_path, monkeypatch, can_exchange):
+    if not can_exchange:
+        monkeypatch.setattr(common, "_exchanged", lambda first, second: False)
+    folder = tmp_path / "a" / "d"
+    for name in ("first", "second"):
+        with whole_folder(folder) as temporary:
+            (temporary / name).touch()
+        assert [path.name for path in folder.iterdir()] == [name]
+    assert [path.name for path in folder.parent.iterdir()] == ["d"]
+
+
+def test_a_folder_is_exchanged_in_one_step(tmp_path):
+    if not sys.platform.startswith("linux"):
+        pytest.skip("only Linux exchanges folders")
+    for name in ("a", "b"):
+        (tmp_path / name / name).mkdir(parents=True)
+    assert common._exchanged(tmp_path / "a", tmp_path / "b")
+    assert (tmp_path / "a" / "b").is_dir()
+    assert (tmp_path / "b" / "a").is_dir()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="there is no SIGKILL on Windows")
+def test_killed_while_writing_a_folder_the_old_one_stays(tmp_path):
+    folder = tmp_path / "d"
+    folder.mkdir()
+    (folder / "old").touch()
+    code = (
+        "import os, signal, sys; from esd.common import whole_folder\n"
+        "with whole_folder(sys.argv[1]) as t:\n"
+        "    (t / 'half').touch(); os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code, str(folder)], check=False)
+    assert done.returncode == -signal.SIGKILL
+    assert [path.name for path in folder.iterdir()] == ["old"]
+
+
+def test_paths_that_cannot_be_written_are_refused(tmp_path):
+    file = tmp_path / "f.txt"
+    file.touch()
+    for write in (whole_file, whole_folder):
+        with pytest.raises(InputError, match="cannot be written"), write(file / "x.txt"):
+            pass
+    for write, path, message in (
+        (whole_file, tmp_path, "is a folder; give the name of a file"),
+        (whole_folder, file, "is a file; give the name of a folder"),
+    ):
+        with pytest.raises(InputError, match=message), write(path):
+            pass
+    with pytest.raises(InputError, match="is a file, not a folder"):
+        check_can_be_made(file / "a" / "x.txt")
+    assert check_can_be_made(tmp_path / "a" / "b" / "x.txt").name == "x.txt"
+    assert not (tmp_path / "a").exists()
+
+
+def test_a_folder_that_is_closed_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    with pytest.raises(InputError, match="is not open to you"):
+        check_can_be_made(tmp_path / "x.txt")
 
 
 def test_hints_name_the_distribution_and_an_extra_that_it_has():

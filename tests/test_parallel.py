@@ -10,7 +10,7 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from esd.common import InputError
-from esd.parallel import blas_libraries, outcomes, side_by_side, thread_count
+from esd.parallel import Workers, blas_libraries, outcomes, side_by_side, thread_count
 
 HERE = str(Path(__file__).parent)
 
@@ -36,7 +36,9 @@ def sleep(path: str) -> None:
 
 @pytest.mark.parametrize("workers", [1, 2])
 def test_jobs_that_fail_keep_none_of_the_others_back(workers):
-    found = {outcome.job: outcome for outcome in outcomes(square, range(20), workers=workers)}
+    found = {
+        outcome.job: outcome for outcome in outcomes(square, range(20), workers=Workers(workers))
+    }
     assert sorted(found) == list(range(20))
     assert found[3].failure == "not three"
     assert found[4].failure == "KeyError: 'four'"
@@ -45,7 +47,9 @@ def test_jobs_that_fail_keep_none_of_the_others_back(workers):
 
 @pytest.mark.skipif(sys.platform == "win32", reason="there is no SIGKILL on Windows")
 def test_a_job_that_kills_its_process_fails_alone():
-    found = {outcome.job: outcome for outcome in outcomes(square_or_die, range(12), workers=2)}
+    found = {
+        outcome.job: outcome for outcome in outcomes(square_or_die, range(12), workers=Workers(2))
+    }
     assert "died" in found.pop(5).failure
     assert {job: outcome.result for job, outcome in found.items()} == {
         i: i**2 for i in range(12) if i != 5
@@ -55,8 +59,8 @@ def test_a_job_that_kills_its_process_fails_alone():
 @pytest.mark.skipif(sys.platform == "win32", reason="there is no SIGKILL on Windows")
 def test_processes_end_when_their_parent_is_killed(tmp_path):
     code = (
-        "import test_parallel as t; from esd.parallel import outcomes\n"
-        f"if __name__ == '__main__': list(outcomes(t.sleep, [r'{tmp_path / 'a'}'], workers=2))"
+        "import test_parallel as t, esd.parallel as w; from esd.parallel import outcomes\n"
+        f"if __name__ == '__main__': list(outcomes(t.sleep, [r'{tmp_path / 'a'}'], workers=w.Workers(2)))"
     )
     script = tmp_path / "script.py"
     script.write_text(code)
@@ -84,11 +88,24 @@ def _runs(process: int) -> bool:
 
 
 def test_impossible_settings_are_refused():
-    with pytest.raises(InputError, match="`workers` must be at least 1; got 0"):
-        list(outcomes(square, [1], workers=0))
+    with pytest.raises(InputError, match="`processes` must be at least 1; got 0"):
+        list(outcomes(square, [1], workers=Workers(0)))
+    with pytest.raises(InputError, match="a number of processes or a scheduler, not both"):
+        Workers(2, "tcp://host:8786")
+    with pytest.raises(InputError, match="`patience` must be a positive number"):
+        Workers(patience=0)
+    for address in ("nonsense", "http://host:8787", "tcp://host", "tcp://:8786", "tcp://a b:1"):
+        with pytest.raises(InputError, match="not the address of a Dask scheduler; expected one"):
+            Workers(scheduler=address)
+
+
+def test_a_scheduler_that_does_not_answer_is_waited_for_no_longer_than_the_patience():
     pytest.importorskip("distributed", reason="a cluster needs the extra `cluster`")
-    with pytest.raises(InputError, match="No Dask scheduler answers at 'nonsense'"):
-        list(outcomes(square, [1], scheduler="nonsense"))
+    start = time.monotonic()
+    nobody = Workers(scheduler="tcp://127.0.0.1:9", patience=1)
+    with pytest.raises(InputError, match="No Dask scheduler answered"):
+        list(outcomes(square, [1], workers=nobody))
+    assert time.monotonic() - start < 30
 
 
 def test_side_by_side_no_job_takes_more_than_one_thread():

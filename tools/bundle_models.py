@@ -18,6 +18,7 @@ from esd.datasets.collection import Collection
 from esd.datasets.open import open_collection
 from esd.evaluation.protocol import evaluate
 from esd.learning.model import Model, load_model, save_model
+from esd.parallel import EVERY_CORE
 from esd.spectral.cache import default_cache
 
 MODELS = Path(__file__).parents[1] / "src" / "esd" / "learning" / "models"
@@ -30,7 +31,7 @@ def figures(model: Model, collection: Collection, *, refine: bool) -> str:
         model,
         collection.pairs(),
         refine=refine,
-        workers=None,
+        workers=EVERY_CORE,
         cache=default_cache(),
     )
     symmetric = result.symmetric_mean_geodesic_error_x100

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import os
+import shutil
+import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,6 +22,9 @@ BoolArray: TypeAlias = npt.NDArray[np.bool_]
 DISTRIBUTION = "embedded-spectral-descriptors"
 """What pip installs; `esd` on PyPI is another package."""
 
+_EXCHANGE = 2  # RENAME_EXCHANGE of renameat2(2)
+_HERE = -100  # AT_FDCWD
+
 
 class InputError(ValueError):
     """Input that cannot be used; the message says what was expected, what came, what to do."""
@@ -33,30 +39,102 @@ def install_hint(extra: str) -> str:
 def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Path of a temporary file that takes the place of `path` when the block ends well.
 
-    The temporary file lies in the folder of `path` and keeps its suffix. When the block raises,
-    or the process is interrupted, it is removed and whatever stood at `path` stays as it was.
+    The temporary file lies in the folder of `path`, which is made where it does not exist, and
+    has its suffix. When the block raises, or the process is interrupted, it is removed and the
+    file at `path` is left as it was. A link is followed: the file it names is replaced. The new
+    file has the permissions of the old one.
 
     Raises
     ------
     InputError
-        If the folder of `path` does not exist or cannot be written to.
+        If `path` is a folder, or its folder cannot be made or written to.
     """
     path = Path(path)
     if path.is_dir():
         raise InputError(f"'{path}' is a folder; give the name of a file to write.")
-    if not path.parent.is_dir():
-        raise InputError(f"The folder '{path.parent}' does not exist; create it first.")
     try:
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=".esd-", suffix=path.suffix)
+        # of the file that a link names, so that the link is kept
+        place = Path(os.path.realpath(path))
+        place.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(dir=place.parent, prefix=".esd-", suffix=path.suffix)
     except OSError as error:
         raise InputError(f"'{path}' cannot be written: {error.strerror}.") from error
     os.close(handle)
     temporary = Path(name)
     try:
         yield temporary
-        umask = os.umask(0)
-        os.umask(umask)
-        temporary.chmod(0o666 & ~umask)  # mkstemp makes files only their owner can read
-        temporary.replace(path)
+        # mkstemp makes files that only their owner can read
+        temporary.chmod(place.stat().st_mode & 0o7777 if place.exists() else 0o666 & ~_umask())
+        temporary.replace(place)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def whole_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """Path of a temporary folder that takes the place of `path` when the block ends well.
+
+    As `whole_file`; whatever the folder at `path` held is removed once the new one is there.
+
+    Raises
+    ------
+    InputError
+        If `path` is a file, or its folder cannot be made or written to.
+    """
+    path = Path(path)
+    place = Path(os.path.realpath(path))
+    if place.is_file():
+        raise InputError(f"'{path}' is a file; give the name of a folder to write.")
+    try:
+        place.parent.mkdir(parents=True, exist_ok=True)
+        temporary = Path(tempfile.mkdtemp(dir=place.parent, prefix=".esd-"))
+    except OSError as error:
+        raise InputError(f"'{path}' cannot be written: {error.strerror}.") from error
+    try:
+        yield temporary
+        temporary.chmod(place.stat().st_mode & 0o7777 if place.exists() else 0o777 & ~_umask())
+        if not place.exists():
+            temporary.replace(place)
+        elif not _exchanged(temporary, place):
+            # this system cannot exchange folders: for a moment there is none at `path`
+            with tempfile.TemporaryDirectory(dir=place.parent, prefix=".esd-") as aside:
+                place.replace(Path(aside) / place.name)
+                temporary.replace(place)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def check_can_be_made(path: str | os.PathLike[str]) -> Path:
+    """The path, if its folder can be written to, or made.
+
+    Raises
+    ------
+    InputError
+        If part of the path is a file, or the first folder that exists cannot be written to.
+    """
+    path = Path(path)
+    folder = Path(os.path.realpath(path)).parent
+    while not folder.exists() and folder != folder.parent:
+        folder = folder.parent
+    if not folder.is_dir():
+        raise InputError(f"'{path}' cannot be written: '{folder}' is a file, not a folder.")
+    if not os.access(folder, os.W_OK):
+        raise InputError(f"'{path}' cannot be written: '{folder}' is not open to you.")
+    return path
+
+
+def _exchanged(first: Path, second: Path) -> bool:
+    """Whether two folders have exchanged their names, in one step; Linux can."""
+    if not sys.platform.startswith("linux"):
+        return False
+    exchange = getattr(ctypes.CDLL(None), "renameat2", None)
+    if exchange is None:
+        return False
+    names = os.fsencode(first), os.fsencode(second)
+    return bool(exchange(_HERE, names[0], _HERE, names[1], _EXCHANGE) == 0)
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask

@@ -2,8 +2,15 @@
 
 from __future__ import annotations
 
+import logging
+import math
 import os
+import re
+import shutil
+import signal
+import sys
 import threading
+import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import (
     FIRST_COMPLETED,
@@ -17,15 +24,21 @@ from concurrent.futures import (
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import islice
-from multiprocessing import get_context, parent_process
+from multiprocessing import connection, get_context, parent_process
+from multiprocessing.connection import Connection
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import Generic, TypeVar
+from socket import gethostname
+from tempfile import TemporaryDirectory, gettempdir
+from typing import Any, Generic, TypeVar
 
 from threadpoolctl import ThreadpoolController, threadpool_limits
 
 from esd.common import InputError
 
+_log = logging.getLogger(__name__)
+
+_ADDRESS = r"((tcp|tls|ucx|ws|wss)://)?(\[[0-9a-fA-F:]+\]|[^\s/:]+):\d{1,5}"
+_SILENCE = 10  # seconds without workers after which this is said
 _DIED = "the process that computed it died, perhaps for lack of memory"
 _QUEUED = 2  # jobs handed out for each worker: one at work, one that waits
 
@@ -41,18 +54,61 @@ class Outcome(Generic[Job, Result]):
     result: Result | None = None
     failure: str | None = None
 
-    def told_of(self, name: object) -> str:
-        """The failure, with the name of what failed where it does not tell that itself."""
+    def failure_of(self, name: object) -> str:
+        """The failure, with the name of what failed where it does not name that itself."""
         said = self.failure or ""
         return said if f"'{name}'" in said else f"'{name}': {said}"
+
+
+@dataclass(frozen=True, slots=True)
+class Workers:
+    """What computes independent jobs: processes of this machine, or a Dask cluster.
+
+    Parameters
+    ----------
+    processes
+        Number of processes; by default one for each core. With one, this process computes.
+    scheduler
+        Address of a Dask scheduler, such as `tcp://host:8786`, whose workers compute instead.
+    patience
+        Seconds that are waited for the scheduler, and for its workers while it has none.
+
+    Raises
+    ------
+    InputError
+        If both are given, the number or the time is not positive, or the address is none.
+    """
+
+    processes: int | None = None
+    scheduler: str | None = None
+    patience: float = 60.0
+
+    def __post_init__(self) -> None:
+        if self.processes is not None and self.scheduler is not None:
+            raise InputError("Give a number of processes or a scheduler, not both.")
+        if self.processes is not None and self.processes < 1:
+            raise InputError(f"`processes` must be at least 1; got {self.processes}.")
+        if not self.patience > 0:
+            raise InputError(f"`patience` must be a positive number of seconds: {self.patience}.")
+        if self.scheduler is not None and not re.fullmatch(_ADDRESS, self.scheduler):
+            raise InputError(
+                f"'{self.scheduler}' is not the address of a Dask scheduler; expected one such as "
+                "tcp://host:8786, which `dask scheduler` prints when it starts."
+            )
+
+
+EVERY_CORE = Workers()
+"""A process for each core."""
+
+THIS_PROCESS = Workers(1)
+"""This process alone."""
 
 
 def outcomes(
     function: Callable[[Job], Result],
     jobs: Iterable[Job],
     *,
-    workers: int | None = None,
-    scheduler: str | None = None,
+    workers: Workers = EVERY_CORE,
 ) -> Iterator[Outcome[Job, Result]]:
     """Outcomes of jobs, in the order in which they are done; none keeps the others from theirs.
 
@@ -65,22 +121,18 @@ def outcomes(
     function
         Of one job. Both go to other processes: a function of a module, plain data.
     workers
-        Number of processes; by default one for each core. With one, this process computes.
-    scheduler
-        Address of a Dask scheduler, such as `tcp://host:8786`, whose workers compute instead.
+        What computes.
 
     Raises
     ------
     InputError
-        If `workers` is not positive, or no scheduler answers.
+        If no scheduler answers, or it has no workers for longer than the patience.
     """
-    if workers is not None and workers < 1:
-        raise InputError(f"`workers` must be at least 1; got {workers}.")
-    if scheduler is not None:
-        with _dask(scheduler) as (executor, count):
-            yield from _handed_out(function, iter(jobs), executor, count)
+    if workers.scheduler is not None:
+        with _dask(workers) as (executor, count):
+            yield from _handed_out(function, iter(jobs), executor, count, patience=workers.patience)
         return
-    processes = core_count() if workers is None else workers
+    processes = core_count() if workers.processes is None else workers.processes
     if processes == 1:
         yield from (_tried(function, job) for job in jobs)
         return
@@ -96,11 +148,32 @@ def outcomes(
 
 
 @contextmanager
-def shared_folder(scheduler: str | None = None) -> Iterator[Path]:
-    """A temporary folder that the workers see: within the current one if a scheduler has them."""
-    here = None if scheduler is None else Path.cwd()
-    with TemporaryDirectory(prefix=".esd-", dir=here) as name:
+def shared_folder(workers: Workers = EVERY_CORE) -> Iterator[Path]:
+    """A temporary folder that the workers see: within the current one if a scheduler has them.
+
+    Folders that processes left there which were killed are removed.
+    """
+    base = Path(gettempdir()) if workers.scheduler is None else Path.cwd()
+    host = re.sub(r"\W", "", gethostname())
+    for old in base.glob(f".esd-{host}-*-*"):
+        number = old.name.split("-")[2]
+        if number.isdigit() and not _is_running(int(number)):
+            shutil.rmtree(old, ignore_errors=True)
+    with TemporaryDirectory(prefix=f".esd-{host}-{os.getpid()}-", dir=base) as name:
         yield Path(name)
+
+
+def _is_running(process: int) -> bool:
+    """Whether there is such a process on this machine; on Windows it is supposed."""
+    if sys.platform == "win32":  # where os.kill would end it
+        return True
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:
+        return True
+    return True
 
 
 def core_count() -> int:
@@ -138,26 +211,48 @@ def _pooled(
     function: Callable[[Job], Result], jobs: Iterator[Job], processes: int
 ) -> Iterator[Outcome[Job, Result]]:
     # spawned, because forking a process that runs threads can hang
+    context = get_context("spawn")
+    ended, end = context.Pipe(duplex=False)
     pool = ProcessPoolExecutor(
-        processes, mp_context=get_context("spawn"), initializer=_end_with_parent
+        processes, mp_context=context, initializer=_end_with_parent, initargs=(ended,)
     )
-    with pool:
+    try:
         yield from _handed_out(function, jobs, pool, lambda: processes)
+    except BaseException:
+        end.close()  # which ends the processes at once: jobs that are queued would run on
+        raise
+    finally:
+        pool.shutdown(cancel_futures=True)
+        end.close()
+        ended.close()
 
 
 @contextmanager
-def _dask(scheduler: str) -> Iterator[tuple[Executor, Callable[[], int]]]:
+def _dask(workers: Workers) -> Iterator[tuple[Executor, Callable[[], int]]]:
     """An executor on the workers of a scheduler, and how many cores they have now."""
     from distributed import Client
 
     try:
-        client = Client(scheduler, set_as_default=False)
-    except (OSError, ValueError) as error:
+        client = Client(workers.scheduler, set_as_default=False, timeout=workers.patience)
+    except (OSError, ValueError, TimeoutError) as error:
         raise InputError(
-            f"No Dask scheduler answers at '{scheduler}': {error}. Start one by `dask scheduler`."
+            f"No Dask scheduler answered at '{workers.scheduler}' within {workers.patience:g} s. "
+            "Start one by `dask scheduler`, and give the address that it prints."
         ) from error
-    with client, client.get_executor() as executor:
-        yield executor, lambda: sum(client.ncores().values())
+    with client:
+        _warn_of_versions(client)
+        with client.get_executor() as executor:
+            yield executor, lambda: sum(client.ncores().values())
+
+
+def _warn_of_versions(client: Any) -> None:
+    """Say in the log which workers have another Python or Dask, which may not read our jobs."""
+    found = client.get_versions()
+    own = {key: found["client"]["packages"].get(key) for key in ("python", "distributed")}
+    for address, worker in found["workers"].items():
+        theirs = {key: worker["packages"].get(key) for key in own}
+        if theirs != own:
+            _log.warning("The worker %s has %s; here it is %s.", address, theirs, own)
 
 
 def _handed_out(
@@ -165,22 +260,38 @@ def _handed_out(
     left: Iterator[Job],
     executor: Executor,
     workers: Callable[[], int],
+    *,
+    patience: float = math.inf,
 ) -> Iterator[Outcome[Job, Result]]:
     """Outcomes by an executor; none of the jobs left is taken once its processes died."""
     running: dict[Future[Outcome[Job, Result]], Job] = {}
     died = False
+    alone_since, is_reported = math.inf, False  # since when there are no workers
     try:
         while True:
-            free = 0 if died else _QUEUED * max(1, workers()) - len(running)
+            count = workers()
+            free = 0 if died else _QUEUED * max(1, count) - len(running)
             try:
                 for job in islice(left, max(0, free)):
-                    running[executor.submit(_tried, function, job)] = job
+                    with _no_interrupt():
+                        running[executor.submit(_tried, function, job)] = job
             except BrokenExecutor:
                 died = True
                 yield Outcome(job, failure=_DIED)
             if not running:
                 return
-            for future in wait(running, return_when=FIRST_COMPLETED).done:
+            now = time.monotonic()
+            alone_since = math.inf if count else min(alone_since, now)
+            if now - alone_since > patience:
+                raise InputError(
+                    f"The scheduler has had no workers for {patience:g} s. Start some by `dask "
+                    "worker ADDRESS`, or wait longer with --patience SECONDS."
+                )
+            if now - alone_since > min(_SILENCE, patience) and not is_reported:
+                is_reported = True
+                _log.warning("The scheduler has no workers yet; waiting for some.")
+            timeout = None if patience == math.inf else min(1.0, patience)
+            for future in wait(running, timeout, return_when=FIRST_COMPLETED).done:
                 job = running.pop(future)
                 try:
                     yield future.result()
@@ -192,6 +303,22 @@ def _handed_out(
     finally:
         for future in running:
             future.cancel()
+
+
+@contextmanager
+def _no_interrupt() -> Iterator[None]:
+    """Keep Ctrl-C from processes that start meanwhile: a terminal sends it to all of them.
+
+    They inherit the mask of signals of this thread, which it gets back.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _tried(function: Callable[[Job], Result], job: Job) -> Outcome[Job, Result]:
@@ -208,13 +335,16 @@ def _in_words(error: Exception) -> str:
     return said if isinstance(error, InputError) else f"{type(error).__name__}: {said}"
 
 
-def _end_with_parent() -> None:
-    """Let this process end when its parent is killed; it would wait for jobs for ever."""
+def _end_with_parent(ended: Connection) -> None:
+    """Let this process end when its parent is killed, or closes the other end of a pipe.
+
+    It would wait for jobs for ever, or finish those that are queued.
+    """
 
     def watch() -> None:
         parent = parent_process()
         if parent is not None:
-            parent.join()
+            connection.wait([parent.sentinel, ended])
             os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()

@@ -13,6 +13,7 @@ from esd.datasets.store import is_store, open_store
 from esd.descriptors.recipe import Descriptor, Recipe, descriptors
 from esd.mesh.mesh import Mesh
 from esd.mesh.shapes import torus
+from esd.parallel import Workers
 
 RECIPE = Recipe((Descriptor("hks", 6), Descriptor("wks", 5)), eigenpairs=15)
 
@@ -42,7 +43,7 @@ def collection() -> Collection:
 
 def test_a_store_holds_what_is_computed_directly(collection, tmp_path):
     path = tmp_path / "s.h5"
-    done = precompute(collection, RECIPE, path, workers=1)
+    done = precompute(collection, RECIPE, path, workers=Workers(1))
     assert (done.computed, done.unchanged, done.failures) == (3, 0, ())
     store = open_store(path)
     assert store.names == ("c0", "c1", "c2")
@@ -65,20 +66,25 @@ def test_a_store_holds_what_is_computed_directly(collection, tmp_path):
 def test_the_store_is_the_same_for_any_number_of_workers(collection, tmp_path, monkeypatch):
     monkeypatch.setenv("ESD_CACHE", "off")
     for workers in (1, 2):
-        precompute(collection, RECIPE, tmp_path / f"{workers}.h5", workers=workers)
+        precompute(collection, RECIPE, tmp_path / f"{workers}.h5", workers=Workers(workers))
     assert (tmp_path / "1.h5").read_bytes() == (tmp_path / "2.h5").read_bytes()
 
 
 def test_only_what_changed_is_computed_again(collection, tmp_path):
     path = tmp_path / "s.h5"
-    precompute(replace(collection, shapes=collection.shapes[:2]), RECIPE, path, workers=1)
+    precompute(replace(collection, shapes=collection.shapes[:2]), RECIPE, path, workers=Workers(1))
     first = path.read_bytes()
-    done = precompute(replace(collection, shapes=collection.shapes[:2]), RECIPE, path, workers=1)
+    done = precompute(
+        replace(collection, shapes=collection.shapes[:2]), RECIPE, path, workers=Workers(1)
+    )
     assert (done.computed, done.unchanged) == (0, 2)
     assert path.read_bytes() == first
     changed = replace(collection.shapes[0], mesh=partial(bent, 5))
     done = precompute(
-        replace(collection, shapes=(changed, collection.shapes[2])), RECIPE, path, workers=1
+        replace(collection, shapes=(changed, collection.shapes[2])),
+        RECIPE,
+        path,
+        workers=Workers(1),
     )
     assert (done.computed, done.unchanged) == (2, 0)
     store = open_store(path)
@@ -97,11 +103,11 @@ def test_an_interrupted_run_goes_on(collection, tmp_path):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        precompute(collection, RECIPE, path, workers=1, on_shape=stop)
+        precompute(collection, RECIPE, path, workers=Workers(1), on_shape=stop)
     assert not path.exists()
-    done = precompute(collection, RECIPE, path, workers=1)
+    done = precompute(collection, RECIPE, path, workers=Workers(1))
     assert (done.computed, done.unchanged) == (1, 2)
-    precompute(collection, RECIPE, tmp_path / "straight.h5", workers=1)
+    precompute(collection, RECIPE, tmp_path / "straight.h5", workers=Workers(1))
     assert path.read_bytes() == (tmp_path / "straight.h5").read_bytes()
 
 
@@ -112,15 +118,17 @@ def test_shapes_that_fail_are_told_and_the_others_kept(collection, tmp_path):
     )
     beyond = replace(collection.shapes[1], correspondence=partial(np.arange, 10**4))
     broken = replace(collection, shapes=(small, beyond, collection.shapes[2]))
-    done = precompute(broken, RECIPE, path, workers=1)
+    done = precompute(broken, RECIPE, path, workers=Workers(1))
     assert [name for name, _ in done.failures] == ["c0", "c2"]
     assert "names vertex 9999" in done.failures[0][1]
     assert "15 eigenpairs" in done.failures[1][1]
     assert open_store(path).names == ("c1",)
-    assert precompute(collection, RECIPE, path, workers=1).computed == 2
-    precompute(broken, RECIPE, path, workers=1)
+    assert precompute(collection, RECIPE, path, workers=Workers(1)).computed == 2
+    precompute(broken, RECIPE, path, workers=Workers(1))
     assert open_store(path).names == ("c1",)  # what was of another content is gone
-    none = precompute(replace(collection, shapes=(small,)), RECIPE, tmp_path / "n.h5", workers=1)
+    none = precompute(
+        replace(collection, shapes=(small,)), RECIPE, tmp_path / "n.h5", workers=Workers(1)
+    )
     assert none.failures
     assert not (tmp_path / "n.h5").exists()
 
@@ -129,7 +137,7 @@ def test_copies_with_other_triangles_are_described_too(collection, tmp_path):
     path = tmp_path / "s.h5"
     one = replace(collection, shapes=collection.shapes[:1])
     wide = replace(RECIPE, eigenpairs=10)
-    done = precompute(one, wide, path, remeshings=1, workers=1)
+    done = precompute(one, wide, path, remeshings=1, workers=Workers(1))
     assert done.computed == 2
     assert open_store(path).names == ("c2", "c2~0")
     opened = open_collection(path)
@@ -141,13 +149,13 @@ def test_copies_with_other_triangles_are_described_too(collection, tmp_path):
 
 def test_stores_of_something_else_are_refused(collection, tmp_path):
     path = tmp_path / "s.h5"
-    precompute(collection, RECIPE, path, workers=1)
+    precompute(collection, RECIPE, path, workers=Workers(1))
     with pytest.raises(InputError, match="of another recipe"):
         precompute(collection, replace(RECIPE, eigenpairs=16), path)
     with pytest.raises(InputError, match="holds shapes of 'bent', not of 'x'"):
         precompute(replace(collection, name="x"), RECIPE, path)
     with pytest.raises(InputError, match="cannot be written to"):
-        precompute(collection, RECIPE, tmp_path / "no" / "s.h5")
+        precompute(collection, RECIPE, path / "s.h5")
     whole = path.read_bytes()
     with h5py.File(path, "a") as file:
         del file["rows"]

@@ -14,6 +14,7 @@ from esd.mesh.geodesics import geodesic_diameter, geodesic_graph
 from esd.mesh.geometry import surface_area
 from esd.mesh.mesh import Mesh
 from esd.nearest import nearest
+from esd.parallel import Workers
 
 
 def test_errors_are_distances_from_either_side(blob):
@@ -86,7 +87,7 @@ def test_perfect_maps_have_perfect_figures(model, shapes):
 def test_figures_do_not_depend_on_the_number_of_processes(model, shapes):
     pairs = [shapes, shapes[::-1]]
     once = evaluate(model, pairs)[0]
-    again = evaluate(model, pairs, workers=2)[0]
+    again = evaluate(model, pairs, workers=Workers(2))[0]
     assert replace(again, seconds=0) == replace(once, seconds=0)
     assert again.symmetric_mean_geodesic_error_x100 is None  # known for one shape only
 

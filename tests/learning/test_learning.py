@@ -14,6 +14,7 @@ from esd.learning.losses import contrastive_loss, infonce_loss, pair_criteria
 from esd.learning.model import Layer, Model, load_model, raw_model, save_model
 from esd.learning.pairs import draw_matches, draw_pairs, point_table, standardisation, stored_table
 from esd.learning.presets import PRESETS, Training, preset
+from esd.parallel import Workers
 
 torch = pytest.importorskip("torch", reason="training needs the extra `train`")
 from esd.learning.train import embedded_criteria, learning_rate, train  # noqa: E402
@@ -143,7 +144,7 @@ def test_training_separates_pairs_and_embeds_without_torch(collection):
 
 def test_training_from_a_store_is_that_in_memory(collection, tmp_path):
     path = tmp_path / "s.h5"
-    precompute(collection, TRAINING.recipe, path, workers=1)
+    precompute(collection, TRAINING.recipe, path, workers=Workers(1))
     short = replace(TRAINING, steps=50, points=40)
     stored = train(open_collection(path), short, validation=open_collection(path))
     direct = train(collection, replace(short, points=None), validation=collection)
@@ -160,7 +161,7 @@ def test_training_from_a_store_is_that_in_memory(collection, tmp_path):
 
 def test_stores_of_other_recipes_are_not_trained_on(collection, tmp_path):
     path = tmp_path / "s.h5"
-    precompute(collection, TRAINING.recipe, path, workers=1)
+    precompute(collection, TRAINING.recipe, path, workers=Workers(1))
     opened = open_collection(path)
     for other in (replace(TRAINING, recipe=single_recipe("gps")), replace(TRAINING, remeshings=1)):
         with pytest.raises(InputError, match="does not hold what this training takes"):
@@ -171,7 +172,7 @@ def test_stores_of_other_recipes_are_not_trained_on(collection, tmp_path):
 
 def test_copies_in_a_store_are_trained_on(collection, tmp_path):
     path = tmp_path / "s.h5"
-    precompute(collection, TRAINING.recipe, path, remeshings=1, workers=1)
+    precompute(collection, TRAINING.recipe, path, remeshings=1, workers=Workers(1))
     opened = open_collection(path)
     assert len(opened.shapes) == 4
     assert len(stored_table(opened, TRAINING.recipe, copies=1).rows) == 8
@@ -354,8 +355,8 @@ def test_models_replace_nothing_but_models(model, tmp_path):
     (tmp_path / "mine" / "thesis.tex").write_text("")
     with pytest.raises(InputError, match="is no model"):
         save_model(model, tmp_path / "mine")
-    with pytest.raises(InputError, match="does not exist"):
-        save_model(model, tmp_path / "a" / "b")
+    with pytest.raises(InputError, match="is a file, not a folder"):
+        save_model(model, tmp_path / "mine" / "thesis.tex" / "b")
     with pytest.raises(InputError, match=r"shape \(n, 25\); got \(3, 4\)"):
         model.embed(np.zeros((3, 4)))
     with pytest.raises(InputError, match="no threshold"):

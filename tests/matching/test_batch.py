@@ -13,6 +13,7 @@ from esd.matching.correspondence import load_map
 from esd.matching.match import match
 from esd.mesh.io.meshes import write_mesh
 from esd.mesh.mesh import Mesh
+from esd.parallel import Workers
 
 MODEL = Model(
     "raw", Recipe((Descriptor("wks", 8),), eigenpairs=20), np.zeros(8), np.ones(8), margin=1e6
@@ -39,7 +40,9 @@ def test_a_batch_gives_the_maps_of_its_pairs_and_describes_each_shape_once(folde
         compute = getattr(batch, name)
         counted = partial(lambda f, *a, **k: computed.append(f) or f(*a, **k), compute)
         monkeypatch.setattr(batch, name, counted)
-    done = list(match_files(pairs, model=MODEL, workers=1, on_step=lambda: steps.append(1)))
+    done = list(
+        match_files(pairs, model=MODEL, workers=Workers(1), on_step=lambda: steps.append(1))
+    )
     assert len(computed) == 4 + 3  # one cannot be read
     assert len(steps) == 4 + 4
     failed = [each for each in done if each.failure]
@@ -77,7 +80,7 @@ def test_bad_lists_of_pairs_are_refused(tmp_path, text, message):
 
 def test_a_batch_by_way_of_coarse_copies_gives_the_maps_of_its_pairs(folder):
     pairs = read_pairs_of_files(folder / "pairs.csv", folder=folder)[:1]
-    (done,) = match_files(pairs, model=MODEL, coarse=300, workers=1)
+    (done,) = match_files(pairs, model=MODEL, coarse=300, workers=Workers(1))
     single = match(pairs[0].source, pairs[0].target, model=MODEL, coarse=300)
     count = len(single.target_index)
     found = load_map(pairs[0].output, source_count=count, target_count=count)

@@ -25,6 +25,7 @@ from esd.cli.options import (
     SchedulerOption,
     WorkersOption,
     candidate_names,
+    workers_of,
 )
 from esd.cli.output import free_path, tell
 from esd.cli.progress import progress
@@ -66,8 +67,7 @@ def batch(
     from esd.learning.model import load_model
     from esd.matching.batch import match_files, read_pairs_of_files
 
-    if workers and scheduler:
-        raise typer.BadParameter("Give --workers or --scheduler, not both.")
+    computing = workers_of(workers, scheduler)
     start = time.perf_counter()
     if scheduler:  # its workers may run in other folders
         pairs, output = pairs.resolve(), output.resolve()
@@ -88,8 +88,7 @@ def batch(
             one_to_one=one_to_one,
             everything=repair,
             coarse=coarse,
-            workers=workers,
-            scheduler=scheduler,
+            workers=computing,
             on_step=lambda: advance(1),
         ):
             names = {key: str(getattr(done.pair, key)) for key in ("source", "target", "output")}

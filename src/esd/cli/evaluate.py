@@ -16,6 +16,7 @@ from esd.cli.options import (
     RejectOption,
     SchedulerOption,
     WorkersOption,
+    workers_of,
 )
 from esd.cli.output import free_path, tell
 
@@ -75,8 +76,7 @@ def evaluate(
 
     if pairs and include:
         raise typer.BadParameter("Give --pairs or --include, not both.")
-    if workers and scheduler:
-        raise typer.BadParameter("Give --workers or --scheduler, not both.")
+    computing = workers_of(workers, scheduler)
     if plot:
         # before the work, which can take long
         from esd.viewing.figures import check_figure_path, errors_figure, save_figure
@@ -101,8 +101,7 @@ def evaluate(
                 chosen,
                 refine=refine,
                 reject=reject,
-                workers=workers,
-                scheduler=scheduler,
+                workers=computing,
                 cache=default_cache(),
                 on_step=lambda: went(1),
             )

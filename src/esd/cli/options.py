@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from enum import Enum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from esd.parallel import Workers
 
 ForceOption = Annotated[bool, typer.Option("--force", "-f", help="Replace a file that exists.")]
 SourceArgument = Annotated[Path, typer.Argument(help="Mesh whose vertices are mapped.")]
@@ -117,3 +120,12 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print a summary as JSO
 def candidate_names(text: str | None) -> tuple[str, ...] | None:
     """The names in the text of `--candidates`."""
     return None if text is None else tuple(name.strip() for name in text.split(","))
+
+
+def workers_of(processes: int | None, scheduler: str | None, patience: float = 60.0) -> Workers:
+    """What --workers, --scheduler and --patience say; wrong usage if they exclude each other."""
+    from esd.parallel import Workers
+
+    if processes is not None and scheduler is not None:
+        raise typer.BadParameter("Give --workers or --scheduler, not both.")
+    return Workers(processes, scheduler, patience)

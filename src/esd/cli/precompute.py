@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from esd.cli.options import DatasetArgument, ForceOption, SchedulerOption, WorkersOption
+from esd.cli.options import DatasetArgument, ForceOption, SchedulerOption, WorkersOption, workers_of
 from esd.cli.output import tell
 
 
@@ -54,8 +54,7 @@ def precompute(
     start = time.perf_counter()
     if preset and model:
         raise typer.BadParameter("Give --preset or --model, not both.")
-    if workers and scheduler:
-        raise typer.BadParameter("Give --workers or --scheduler, not both.")
+    computing = workers_of(workers, scheduler)
     if output.suffix.lower() not in (".h5", ".hdf5"):
         raise InputError(f"'{output}': stores are written to .h5 files.")
     training = named_preset(preset) if preset else None
@@ -67,8 +66,6 @@ def precompute(
         raise InputError(f"'{dataset}' is a store already; name the data set it was made of.")
     if include:
         collection = collection.including(include)
-    if force:
-        output.unlink(missing_ok=True)
     total = len(collection.shapes) * (1 + remeshings)
     with progress("describing", total) as went:
         done = precompute_collection(
@@ -76,8 +73,8 @@ def precompute(
             recipe,
             output,
             remeshings=remeshings,
-            workers=workers,
-            scheduler=scheduler,
+            workers=computing,
+            renew=force,
             on_shape=lambda: went(1),
         )
     summary = {

@@ -167,6 +167,7 @@ def _unsupervised(
     from esd.evaluation.trust import verdicts
     from esd.learning.model import load_model
     from esd.learning.unsupervised import Teaching, train_unsupervised
+    from esd.parallel import EVERY_CORE
     from esd.spectral.cache import default_cache
 
     teaching = Teaching() if steps is None else replace(Teaching(), steps=steps)
@@ -183,7 +184,7 @@ def _unsupervised(
             validation=held,
             start=first,
             checkpoint=_checkpoint(output),
-            workers=None,
+            workers=EVERY_CORE,
             cache=cache,
             on_shape=lambda: described(1),
             on_progress=_since_last(went),
@@ -195,7 +196,7 @@ def _unsupervised(
             used,
             count=_JUDGED,
             seed=seed,
-            workers=None,
+            workers=EVERY_CORE,
             cache=cache,
             on_pair=lambda: judged(1),
         )

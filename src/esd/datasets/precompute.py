@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
-import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -18,7 +18,7 @@ from esd.datasets.remeshing import with_remeshings
 from esd.datasets.store import Store, StoredShape, open_store, save_store
 from esd.descriptors.recipe import Recipe, descriptors
 from esd.mesh.mesh import Mesh
-from esd.parallel import outcomes
+from esd.parallel import EVERY_CORE, Workers, outcomes
 from esd.spectral.cache import content_key, default_cache
 
 _VERSION = 2  # part of the keys; raised when the descriptors of a shape may change
@@ -65,8 +65,8 @@ def precompute(
     path: str | os.PathLike[str],
     *,
     remeshings: int = 0,
-    workers: int | None = None,
-    scheduler: str | None = None,
+    workers: Workers = EVERY_CORE,
+    renew: bool = False,
     on_shape: Callable[[], None] = lambda: None,
 ) -> Precomputed:
     """Write the descriptors of a collection's shapes to a store, or bring the store up to date.
@@ -83,9 +83,11 @@ def precompute(
     remeshings
         Copies of each shape with other triangles that are described as well, see
         `esd.datasets.remeshing.with_remeshings`.
-    workers, scheduler
-        See `esd.parallel.outcomes`. Workers of a scheduler must see the files of the collection
+    workers
+        What computes. Workers of a scheduler must see the files of the collection
         and the folder of the store under the same names.
+    renew
+        Whether a store that exists is computed anew; it is replaced when the new one is whole.
     on_shape
         Called after each shape, to show progress.
 
@@ -95,14 +97,14 @@ def precompute(
         If the store is of another recipe or collection, or cannot be written.
     """
     path = Path(path).resolve()
-    old = open_store(path) if path.exists() else None
+    old = open_store(path) if path.exists() and not renew else None
     if old is not None:
         _check_same(old, collection, recipe, remeshings)
     keys = {} if old is None else dict(zip(old.names, old.keys, strict=True))
     shapes = with_remeshings(collection, remeshings, seed=0).shapes
     parts = path.with_name(path.name + ".parts")
     try:
-        parts.mkdir(exist_ok=True)
+        parts.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"'{parts}' cannot be written to: {error.strerror}.") from error
 
@@ -111,7 +113,7 @@ def precompute(
     before = list(entries.values())
     failures, computed, unchanged = [], 0, 0
     work = partial(_described, recipe=recipe, parts=parts)
-    for outcome in outcomes(work, jobs, workers=workers, scheduler=scheduler):
+    for outcome in outcomes(work, jobs, workers=workers):
         shape, done = outcome.job.shape, outcome.result
         if done is None:
             failures.append((shape.name, outcome.failure or ""))
@@ -137,8 +139,16 @@ def precompute(
     written = [entries[name] for name in sorted(entries)]
     if written and [shape.identity for shape in written] != [shape.identity for shape in before]:
         save_store(path, written, collection=collection, recipe=recipe, remeshings=remeshings)
-    shutil.rmtree(parts)
+    _remove_parts(parts)
     return Precomputed(computed, unchanged, tuple(sorted(failures)))
+
+
+def _remove_parts(parts: Path) -> None:
+    """Remove what `_described` wrote to a folder, and the folder if it held nothing else."""
+    for part in (*parts.glob("described-*.npz"), *parts.glob(".esd-*.npz")):
+        part.unlink(missing_ok=True)
+    with contextlib.suppress(OSError):
+        parts.rmdir()
 
 
 def _check_same(store: Store, collection: Collection, recipe: Recipe, remeshings: int) -> None:

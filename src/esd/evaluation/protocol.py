@@ -21,7 +21,7 @@ from esd.mesh.geodesics import geodesic_diameter, geodesic_graph
 from esd.mesh.geometry import surface_area
 from esd.mesh.mesh import Mesh
 from esd.mesh.repair.repair import RESTORED, repair
-from esd.parallel import outcomes, shared_folder
+from esd.parallel import THIS_PROCESS, Workers, outcomes, shared_folder
 from esd.spectral.cache import Cache
 
 
@@ -129,8 +129,7 @@ def evaluate(
     refine: bool | None = None,
     candidates: Sequence[str] | None = None,
     reject: bool = False,
-    workers: int | None = 1,
-    scheduler: str | None = None,
+    workers: Workers = THIS_PROCESS,
     cache: Cache | None = None,
     on_step: Callable[[], None] = lambda: None,
 ) -> tuple[Evaluation, tuple[PairErrors, ...]]:
@@ -148,8 +147,8 @@ def evaluate(
         Names of the maps to choose from, see `esd.matching.match.match`.
     reject
         Whether matches beyond the model's threshold are dropped.
-    workers, scheduler
-        See `esd.parallel.outcomes`. Workers of a scheduler must see the files of the shapes, and
+    workers
+        What computes. Workers of a scheduler must see the files of the shapes, and
         the current folder, under the same names.
     cache
         Where spectra are looked up and kept.
@@ -170,13 +169,13 @@ def evaluate(
         if shape is not shapes[shape.name]:
             raise InputError(f"Two different shapes are called '{shape.name}'; rename one.")
     found: list[PairErrors] = []
-    with shared_folder(scheduler) as folder:
+    with shared_folder(workers) as folder:
         places = {name: _Kept(name, folder / str(i)) for i, name in enumerate(shapes)}
         first = partial(_embed, model=model, cache=cache)
         jobs = ((shape, places[name]) for name, shape in shapes.items())
-        for described in outcomes(first, jobs, workers=workers, scheduler=scheduler):
+        for described in outcomes(first, jobs, workers=workers):
             if described.failure:
-                raise InputError(described.told_of(described.job[0].name))
+                raise InputError(described.failure_of(described.job[0].name))
             on_step()
         sources: dict[str, list[_Kept]] = {}
         for source, target in pairs:
@@ -189,7 +188,7 @@ def evaluate(
             threshold=threshold,
         )
         groups = ((places[name], group) for name, group in sources.items())
-        for matched in outcomes(work, groups, workers=workers, scheduler=scheduler):
+        for matched in outcomes(work, groups, workers=workers):
             if matched.result is None:
                 raise InputError(f"'{matched.job[0].name}' as target: {matched.failure}")
             found += matched.result

@@ -13,7 +13,7 @@ from esd.common import InputError
 from esd.datasets.collection import Collection, Shape
 from esd.learning.model import Model
 from esd.matching.match import match
-from esd.parallel import outcomes
+from esd.parallel import THIS_PROCESS, Workers, outcomes
 from esd.spectral.cache import Cache
 
 FAILED = "failed"
@@ -25,7 +25,7 @@ def verdicts(
     *,
     count: int = 12,
     seed: int = 0,
-    workers: int | None = 1,
+    workers: Workers = THIS_PROCESS,
     cache: Cache | None = None,
     on_pair: Callable[[], None] = lambda: None,
 ) -> Mapping[str, int]:
@@ -42,7 +42,7 @@ def verdicts(
     seed
         Of the order.
     workers
-        Number of processes; None for one a core.
+        What computes.
     on_pair
         Called after each map.
 

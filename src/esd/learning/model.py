@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -16,7 +14,7 @@ import numpy.typing as npt
 from safetensors import SafetensorError
 from safetensors.numpy import load_file, save
 
-from esd.common import FloatArray, InputError
+from esd.common import FloatArray, InputError, check_can_be_made, whole_folder
 from esd.descriptors.recipe import (
     DESCRIPTOR_KINDS,
     Recipe,
@@ -274,30 +272,20 @@ def save_model(model: Model, folder: str | os.PathLike[str]) -> None:
     arrays: dict[str, npt.NDArray[Any]] = {"mean": model.mean, "deviation": model.deviation}
     for i, layer in enumerate(model.layers):
         arrays |= {f"layer{i}.weight": layer.weight, f"layer{i}.bias": layer.bias}
-    temporary = Path(tempfile.mkdtemp(dir=folder.parent, prefix=".esd-"))
-    try:
-        weights = save({name: np.ascontiguousarray(array) for name, array in arrays.items()})
+    weights = save({name: np.ascontiguousarray(array) for name, array in arrays.items()})
+    with whole_folder(folder) as temporary:
         (temporary / "model.safetensors").write_bytes(weights)
         (temporary / "config.json").write_text(json.dumps(config, indent=2) + "\n")
         (temporary / "README.md").write_text(model_description(replace(model, name=folder.name)))
-        temporary.chmod(0o755)
-        if folder.exists():
-            shutil.rmtree(folder)
-        temporary.replace(folder)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
 
 
 def check_model_destination(folder: Path) -> None:
     """Raise an `InputError` unless a model may be written there."""
-    if not folder.parent.is_dir():
-        raise InputError(f"The folder '{folder.parent}' does not exist; create it first.")
     if folder.exists() and not (
         folder.is_dir() and ((folder / "config.json").is_file() or not any(folder.iterdir()))
     ):
         raise InputError(f"'{folder}' exists and is no model; choose another name.")
-    if not os.access(folder.parent, os.W_OK):
-        raise InputError(f"The folder '{folder.parent}' cannot be written to.")
+    check_can_be_made(folder)
 
 
 def layer_widths(model: Model) -> list[int]:

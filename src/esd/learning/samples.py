@@ -17,7 +17,7 @@ from esd.mesh.geodesics import geodesic_graph
 from esd.mesh.geometry import surface_area, vertex_areas, vertex_normals
 from esd.mesh.mesh import Mesh
 from esd.mesh.topology import turned_outward
-from esd.parallel import outcomes
+from esd.parallel import THIS_PROCESS, Workers, outcomes
 from esd.spectral.cache import Cache
 
 MARKS = 32
@@ -155,7 +155,7 @@ def collection_samples(
     eigenfunctions: int,
     copies: int,
     seed: int = 0,
-    workers: int | None = 1,
+    workers: Workers = THIS_PROCESS,
     cache: Cache | None = None,
     on_shape: Callable[[], None] = lambda: None,
 ) -> SampledCollection:
@@ -164,7 +164,7 @@ def collection_samples(
     Parameters
     ----------
     workers
-        Number of processes; None for one a core. See `shape_samples` for the others.
+        What computes. See `shape_samples` for the others.
     on_shape
         Called after each shape.
     """

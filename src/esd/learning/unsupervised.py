@@ -30,6 +30,7 @@ from esd.learning.network import linear_layers, seeded_network
 from esd.learning.presets import Training
 from esd.learning.samples import Samples, collection_samples, moments
 from esd.learning.teacher import FIRST_SIZES, Lesson, Rows, is_reliable, lesson
+from esd.parallel import THIS_PROCESS, Workers
 from esd.spectral.cache import Cache, content_key
 
 _LARGEST_SEED = 2**32 - 1
@@ -135,7 +136,7 @@ def train_unsupervised(
     validation: Collection | None = None,
     start: Model | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
-    workers: int | None = 1,
+    workers: Workers = THIS_PROCESS,
     cache: Cache | None = None,
     on_shape: Callable[[], None] = lambda: None,
     on_progress: Callable[[TeachingProgress], None] = lambda _: None,
@@ -162,7 +163,7 @@ def train_unsupervised(
     checkpoint
         A file from which an interrupted training resumes, and which is removed at its end.
     workers
-        Number of processes that describe shapes; None for one a core.
+        What computes the features of shapes.
     cache
         Where spectra are looked up and kept.
     on_shape, on_progress

@@ -1,4 +1,4 @@
-"""Maps of many pairs of shapes, of which each is described only once."""
+"""Maps of many pairs of shapes, with the features of each computed only once."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from esd.matching.features import Features, shape_features
 from esd.matching.match import Mirror, check_copies, match_features
 from esd.mesh.mesh import Mesh, PointCloud
 from esd.mesh.repair.repair import repair
-from esd.parallel import outcomes, shared_folder
+from esd.parallel import EVERY_CORE, Workers, outcomes, shared_folder
 from esd.spectral.cache import default_cache
 from esd.spectral.coarse import CoarseCopy
 from esd.spectral.spectrum import Spectrum
@@ -118,14 +118,13 @@ def match_files(
     reject: bool = False,
     everything: bool = False,
     coarse: int | None = None,
-    workers: int | None = None,
-    scheduler: str | None = None,
+    workers: Workers = EVERY_CORE,
     on_step: Callable[[], None] = lambda: None,
 ) -> Iterator[MatchedPair]:
     """Match pairs of files in several processes and write their maps, as by `match`.
 
-    First each shape is read, repaired and described, once, and kept on disk meanwhile; then the
-    pairs are matched. What fails keeps none of the others back.
+    First the features of each shape are computed, once, and kept on disk; then the pairs are
+    matched. Pairs that fail do not abort the batch.
 
     Parameters
     ----------
@@ -137,8 +136,8 @@ def match_files(
         See `esd.mesh.doctor.repair`.
     coarse
         See `match`.
-    workers, scheduler
-        See `esd.parallel.outcomes`. Workers of a scheduler must see the meshes, the current folder
+    workers
+        What computes. Workers of a scheduler must see the meshes, the current folder
         and those of the maps under the same names.
     on_step
         Called after each shape and after each pair, to show progress.
@@ -146,13 +145,15 @@ def match_files(
     check_copies(one_to_one=one_to_one, coarse=coarse)
     threshold = model.threshold() if reject else np.inf
     files = list(dict.fromkeys(file for pair in pairs for file in (pair.source, pair.target)))
-    with shared_folder(scheduler) as folder:
+    with shared_folder(workers) as folder:
         places = {file: folder / str(number) for number, file in enumerate(files)}
-        first = partial(_describe, places=places, model=model, everything=everything, coarse=coarse)
+        first = partial(
+            _save_features_of, places=places, model=model, everything=everything, coarse=coarse
+        )
         failures = {}
-        for described in outcomes(first, files, workers=workers, scheduler=scheduler):
-            if described.failure:
-                failures[described.job] = described.told_of(described.job)
+        for computed in outcomes(first, files, workers=workers):
+            if computed.failure:
+                failures[computed.job] = computed.failure_of(computed.job)
             on_step()
         sound = []
         for pair in pairs:
@@ -172,12 +173,12 @@ def match_files(
             one_to_one=one_to_one,
             threshold=threshold,
         )
-        for matched in outcomes(work, sound, workers=workers, scheduler=scheduler):
+        for matched in outcomes(work, sound, workers=workers):
             on_step()
             yield matched.result or MatchedPair(matched.job, failure=matched.failure)
 
 
-def _describe(
+def _save_features_of(
     file: Path,
     *,
     places: dict[Path, Path],
@@ -185,7 +186,7 @@ def _describe(
     everything: bool,
     coarse: int | None,
 ) -> None:
-    """Compute all that matching takes of a shape, and put it in a folder."""
+    """Compute the features of a shape, and write them to its folder."""
     shape = repair(file, everything=everything, restore=True)
     save_features(
         shape_features(shape, model=model, coarse=coarse, cache=default_cache()), places[file]
@@ -225,14 +226,14 @@ def _match(
 
 
 def save_features(features: Features, folder: Path) -> None:
-    """Write to a new folder what `kept` reads."""
-    pairs, copy = features.spectrum, features.copy
+    """Write to a new folder what `load_features` reads."""
+    spectrum, copy = features.spectrum, features.copy
     arrays = {
         "vertices": features.shape.vertices,
-        "eigenvalues": pairs.eigenvalues,
-        "eigenvectors": pairs.eigenvectors,
-        "mass": pairs.mass,
-        "zero_modes": np.array(pairs.zero_modes),
+        "eigenvalues": spectrum.eigenvalues,
+        "eigenvectors": spectrum.eigenvectors,
+        "mass": spectrum.mass,
+        "zero_modes": np.array(spectrum.zero_modes),
         "values": features.values,
         "embedded": features.embedded,
         "is_turned": np.array(features.is_turned),
@@ -254,7 +255,7 @@ def save_features(features: Features, folder: Path) -> None:
 
 
 def load_features(folder: Path) -> Features:
-    """What `keep` wrote; arrays are mapped, so that processes share them."""
+    """What `save_features` wrote; arrays are mapped, so that processes share them."""
     arrays = {
         path.stem: np.load(path, mmap_mode="r", allow_pickle=False) for path in folder.glob("*.npy")
     }
@@ -264,12 +265,12 @@ def load_features(folder: Path) -> Features:
     copy = None
     if isinstance(shape, Mesh) and "face" in arrays:
         copy = CoarseCopy(shape, arrays["dense"], arrays["face"], arrays["barycentric"])
-    pairs = Spectrum(
+    spectrum = Spectrum(
         arrays["eigenvalues"], arrays["eigenvectors"], arrays["mass"], int(arrays["zero_modes"])
     )
     return Features(
         shape,
-        pairs,
+        spectrum,
         arrays["values"],
         arrays["embedded"],
         bool(arrays["is_turned"]),

@@ -14,7 +14,7 @@ from matplotlib.collections import PolyCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from esd.common import FloatArray, InputError, whole_file
+from esd.common import FloatArray, InputError, check_can_be_made, whole_file
 from esd.evaluation.errors import area_under_curve, cumulative_curve
 from esd.evaluation.protocol import PairErrors
 from esd.matching.correspondence import Correspondence
@@ -192,9 +192,7 @@ def check_figure_path(path: str | os.PathLike[str]) -> Path:
     path = Path(path)
     if path.suffix.lower() not in (".png", ".pdf", ".svg"):
         raise InputError(f"'{path}': figures are written as .png, .pdf or .svg files.")
-    if not path.parent.is_dir():
-        raise InputError(f"The folder '{path.parent}' does not exist; create it first.")
-    return path
+    return check_can_be_made(path)
 
 
 def save_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
