@@ -41,6 +41,8 @@ def test_vts_files_count_from_one(remeshed):
     np.testing.assert_array_equal(collection["cat0"].correspondence(), [2, 0, 19])
     np.testing.assert_array_equal(collection["cat0"].symmetric(), [0, 2, 19])
     assert collection["cat1"].symmetric is None
+    (remeshed / "corres" / "cat1.vts").write_text("3\n0\n20\n")  # 0: the shape lacks the point
+    np.testing.assert_array_equal(collection["cat1"].correspondence(), [2, -1, 19])
     assert [(s.name, t.name) for s, t in collection.pairs()] == [("cat0", "cat1"), ("cat1", "cat0")]
 
 
@@ -173,7 +175,12 @@ def test_shapes_that_lack_a_correspondence_are_reported(remeshed, caplog):
 
 @pytest.mark.parametrize(
     ("text", "message"),
-    [("0\n1\n", "count vertices from 1"), ("a\n", "one vertex index a line"), ("", "is empty")],
+    [
+        ("-1\n1\n", "count vertices from 1, 0 for none"),
+        ("0\n0\n", "names no vertex"),
+        ("a\n", "one vertex index a line"),
+        ("", "is empty"),
+    ],
 )
 def test_bad_vts_files_are_refused(tmp_path, text, message):
     (tmp_path / "x.vts").write_text(text)

@@ -7,8 +7,22 @@ import pytest
 from esd.common import InputError
 from esd.datasets.collection import Shape
 from esd.descriptors.recipe import Descriptor, Recipe
-from esd.evaluation.errors import area_under_curve, cumulative_curve, geodesic_errors
-from esd.evaluation.protocol import evaluate
+from esd.evaluation.errors import (
+    Truth,
+    area_under_curve,
+    cumulative_curve,
+    errors_on_target,
+    geodesic_errors,
+)
+from esd.evaluation.protocol import (
+    NEAR,
+    PairErrors,
+    VerdictCount,
+    confidence_bins,
+    evaluate,
+    randomly_rotated,
+    verdict_counts,
+)
 from esd.learning.model import Model, load_model
 from esd.mesh.geodesics import geodesic_diameter, geodesic_graph
 from esd.mesh.geometry import surface_area
@@ -159,3 +173,112 @@ def test_two_shapes_of_one_name_are_refused(blob, model):
     source, target = (Shape("a", "s", "t", lambda: blob, lambda: index) for _ in range(2))
     with pytest.raises(InputError, match="Two different shapes are called 'a'"):
         evaluate(model, [(source, target)])
+
+
+def measured(errors, *, confidence=None, lone=(), lone_matched=(), verdict=None, expected=None):
+    """Errors on a target of diameter 2, within 0.1 of which a match is right."""
+    errors = np.array(errors, dtype=float)
+    return PairErrors(
+        source="a",
+        target="b",
+        errors=errors,
+        symmetric_errors=None,
+        confidence=np.ones(len(errors)) if confidence is None else np.array(confidence),
+        square_root_area=1.0,
+        diameter=2.0,
+        coverage=1.0,
+        lone_confidence=np.array(lone, dtype=float),
+        lone_matched=np.array(lone_matched, dtype=bool),
+        verdict=verdict,
+        expected_accuracy=expected,
+    )
+
+
+def test_overlap_of_a_known_map():
+    # three of four points with a counterpart are matched, and one of two without
+    pair = measured(
+        [0, 0.05, 1, np.nan], confidence=[0.9, 0.6, 0.3, 0], lone=[0.5, 0], lone_matched=[1, 0]
+    )
+    assert pair.overlap_iou() == 3 / 5
+    assert pair.overlap_balanced_accuracy() == (3 / 4 + 1 / 2) / 2
+    # of eight comparisons: 0.3 loses against 0.5, 0 does so too and ties with 0
+    assert pair.confidence_separation() == (8 - 2 - 0.5) / 8
+    whole = measured([0, np.nan])
+    assert whole.overlap_iou() == 1 / 2
+    assert whole.overlap_balanced_accuracy() is whole.confidence_separation() is None
+
+
+def test_verdicts_are_counted_with_the_share_that_is_right():
+    pairs = [
+        measured([0, 0, 0, 1], verdict="good", expected=0.8),
+        measured([0, 0, 1, 1], verdict="good", expected=0.6, lone=[0.1], lone_matched=[1]),
+        measured([1, np.nan], verdict="failed", expected=0.1),
+        measured([0]),
+    ]
+    assert verdict_counts(pairs) == {
+        "good": VerdictCount(2, pytest.approx(0.7), 0.625, 0.5),
+        "failed": VerdictCount(1, 0.1, 0.0, 0.0),
+    }
+
+
+def test_bins_of_confidence_hold_all_matches_and_count_what_is_right():
+    pair = measured([0, 1, 0, 0], confidence=[0.1, 0.1, 0.92, 1], lone=[0.93], lone_matched=[1])
+    low, high, highest = confidence_bins([pair])
+    assert (low.low, low.high, low.share, low.right) == (0, 0.2, 2 / 5, 1 / 2)
+    assert (high.low, high.share, high.right) == (0.9, 2 / 5, 1 / 2)
+    assert (highest.high, highest.share, highest.right, highest.confidence) == (1, 1 / 5, 1, 1)
+
+
+def test_shapes_that_lack_points_have_an_overlap(model, shapes):
+    source, target = shapes
+    lacking = np.where(target.correspondence() < 100, -1, target.correspondence())
+    result, [pair] = evaluate(model, [(source, replace(target, correspondence=lambda: lacking))])
+    assert len(pair.lone_confidence) == len(pair.lone_matched) == 100
+    assert len(pair.errors) == len(lacking) - 100
+    # all vertices are matched, also the hundred without a counterpart
+    assert result.overlap_iou == pytest.approx(1 - 100 / len(lacking))
+    assert result.overlap_balanced_accuracy == 0.5
+    assert 0 <= result.confidence_separation <= 1
+    whole, _ = evaluate(model, [shapes])
+    assert whole.overlap_iou is whole.overlap_balanced_accuracy is None
+
+
+def test_rotated_shapes_have_the_same_errors(model, shapes):
+    plain = evaluate(model, [shapes])[1][0]
+    turned = evaluate(model, [shapes], rotate=3)[1][0]
+    # descriptors do not see rotations, but for rounding, which may decide between equal neighbours
+    assert (np.abs(plain.errors - turned.errors) < 1e-6).mean() > 0.95
+    first, again, other = (randomly_rotated(shapes[0], seed=s).mesh().vertices for s in (3, 3, 4))
+    np.testing.assert_array_equal(first, again)
+    assert np.abs(first - other).max() > 0.1
+    original = shapes[0].mesh().vertices
+    np.testing.assert_allclose(first @ first.T, original @ original.T, atol=1e-12)  # a rotation
+    turn = np.linalg.lstsq(original, first, rcond=None)[0]
+    assert np.linalg.det(turn) == pytest.approx(1)  # and no reflection
+
+
+def test_errors_on_a_target_are_those_of_each_map(blob):
+    count = len(blob.vertices)
+    index, mirrored = np.arange(count), np.arange(count)[::-1].copy()
+    predicted = np.stack([index, np.roll(index, 5)])
+    found = errors_on_target(Truth(blob, index, mirrored), predicted)
+    distances = geodesic_graph(blob).distances(index)
+    np.testing.assert_allclose(found.direct, distances[predicted, index])
+    np.testing.assert_allclose(
+        found.nearer, np.minimum(found.direct, distances[predicted, mirrored])
+    )
+    limited = errors_on_target(Truth(blob, index), predicted, limit=NEAR)
+    is_near = found.direct <= NEAR * found.diameter
+    np.testing.assert_array_equal(np.isfinite(limited.direct), is_near)
+    np.testing.assert_array_equal(limited.nearer, limited.direct)
+
+
+def test_another_component_is_a_diameter_away(blob):
+    count = len(blob.vertices)
+    twice = Mesh(
+        np.concatenate([blob.vertices, blob.vertices + 5]),
+        np.concatenate([blob.faces, blob.faces + count]),
+    )
+    index = np.arange(2 * count)
+    found = errors_on_target(Truth(twice, index), np.roll(index, count)[None])
+    np.testing.assert_allclose(found.direct, found.diameter)

@@ -57,10 +57,20 @@ def test_curves_end_at_the_share_within_reach():
 
 
 def test_curves_of_models_are_means_over_pairs_with_both_normalisers():
-    ends = {"square_root_area": 1.0, "diameter": 2.0, "coverage": 1.0, "symmetric_errors": None}
     pairs = [
-        PairErrors("a", "b", np.array([0.0, 0.1]), **ends),
-        PairErrors("b", "a", np.array([0.3, 0.3, 0.5, np.nan]), **ends),
+        PairErrors(
+            source="a",
+            target="b",
+            errors=np.array(errors),
+            symmetric_errors=None,
+            confidence=np.ones(len(errors)),
+            square_root_area=1.0,
+            diameter=2.0,
+            coverage=1.0,
+            lone_confidence=np.zeros(0),
+            lone_matched=np.zeros(0, dtype=bool),
+        )
+        for errors in ([0.0, 0.1], [0.3, 0.3, 0.5, np.nan])
     ]
     figure = figures.errors_figure({"m": pairs, "n": pairs[:1]})
     assert [axes.get_xlabel() for axes in figure.axes] == [

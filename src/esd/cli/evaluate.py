@@ -46,6 +46,15 @@ def evaluate(
     ] = None,
     refine: RefineOption = None,
     reject: RejectOption = False,
+    rotate: Annotated[
+        int | None,
+        typer.Option(
+            metavar="SEED",
+            min=0,
+            help="Rotate each shape at random by this seed first: files of a data set mostly face "
+            "one way, which scans do not.",
+        ),
+    ] = None,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
     device: DeviceOption = "cpu",
@@ -101,6 +110,7 @@ def evaluate(
                 chosen,
                 refine=refine,
                 reject=reject,
+                rotate=rotate,
                 workers=computing,
                 cache=default_cache(),
                 on_step=lambda: went(1),
@@ -115,10 +125,17 @@ def evaluate(
         typer.echo(json.dumps(figures[0] if len(figures) == 1 else {"models": figures}))
         return
     tell(f"on {collection.name}; errors over √area, means over pairs")
-    for key in figures[0]:
-        if key != "data":
+    for key in dict.fromkeys(key for figure in figures for key in figure):
+        if key not in ("data", "confidence_bins", "verdicts"):
             cells = (figure.get(key, "") for figure in figures)
             tell(f"  {key:34}" + "".join(f" {_text(cell):>12}" for cell in cells))
+    for figure in figures:
+        for verdict, maps in figure["verdicts"].items():
+            tell(
+                f"  {figure['model']}: {maps['maps']} {verdict}; right on average "
+                f"{maps['right']:.1%} (expected {maps['expected']:.1%}), at least "
+                f"{maps['least_right']:.1%}"
+            )
     if plot:
         tell(f"drawn to {plot}")
 

@@ -37,10 +37,10 @@ def folder_collection(path: str | os.PathLike[str]) -> Collection:
 
     The meshes lie in the folder or in `shapes/` within it. Where there is a folder `corres` (or
     `corr`), its `NAME.vts` holds the 1-based vertex of shape NAME at each point of the template,
-    one a line, and `NAME.sym.vts` the same under left-right symmetry. Where there is no such
-    folder and all meshes have one connectivity, equal indices correspond; of large folders each
-    mesh is checked when it is read, so that opening one takes no time. Shapes of several
-    connectivities correspond with no other: each is its own template.
+    one a line, 0 where the shape lacks the point, and `NAME.sym.vts` the same under left-right
+    symmetry. Where there is no such folder and all meshes have one connectivity, equal indices
+    correspond; of large folders each mesh is checked when it is read, so that opening one takes no
+    time. Shapes of several connectivities correspond with no other: each is its own template.
 
     Subjects follow from the names of FAUST, TOSCA, Dyna and D-FAUST; elsewhere each shape is a
     subject of its own. A file `subjects.csv` with the columns `name,subject` and, if shapes of
@@ -82,10 +82,12 @@ def folder_collection(path: str | os.PathLike[str]) -> Collection:
 def read_vts(path: str | os.PathLike[str]) -> IntArray:
     """Vertex indices from 0 in a `.vts` file, which holds one index from 1 a line.
 
+    0 in the file, -1 here, is a point that the shape lacks.
+
     Raises
     ------
     InputError
-        If the file is missing or holds anything but positive integers.
+        If the file is missing, holds anything but such integers, or no vertex at all.
     """
     path = Path(path)
     try:
@@ -96,8 +98,12 @@ def read_vts(path: str | os.PathLike[str]) -> IntArray:
         raise InputError(f"'{path}' must hold one vertex index a line: {error}.") from error
     if len(index) == 0:
         raise InputError(f"'{path}' is empty.")
-    if index.min() < 1:
-        raise InputError(f"'{path}' holds {index.min()}; .vts files count vertices from 1.")
+    if index.min() < 0:
+        raise InputError(
+            f"'{path}' holds {index.min()}; .vts files count vertices from 1, 0 for none."
+        )
+    if index.max() < 1:
+        raise InputError(f"'{path}' names no vertex: all of its lines are 0.")
     return index - 1
 
 

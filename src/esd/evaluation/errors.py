@@ -2,14 +2,81 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from esd.common import FloatArray, InputError, IntArray
-from esd.mesh.geodesics import EdgeGraph, geodesic_graph
+from esd.mesh.geodesics import EdgeGraph, geodesic_diameter, geodesic_graph
 from esd.mesh.geometry import surface_area
 from esd.mesh.mesh import Mesh
 
 _CHUNK = 256
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Truth:
+    """Where the points of the template lie on a shape, by which maps to it are measured.
+
+    Parameters
+    ----------
+    mesh
+        The surface on which distances are measured.
+    index : (p,)
+        Its vertex at each point; -1 where it has none.
+    symmetric : (p,)
+        The same under left-right symmetry, or None where that is not known.
+    """
+
+    mesh: Mesh
+    index: IntArray
+    symmetric: IntArray | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TargetErrors:
+    """Errors of several maps to one target, in units of length.
+
+    Parameters
+    ----------
+    direct, nearer : (k, p)
+        Geodesic distance to the true vertex, and to the nearer of the true and the mirrored one,
+        for each map and point; NaN where the map has no match or the target lacks the point.
+    diameter
+        Geodesic diameter of the target.
+    """
+
+    direct: FloatArray
+    nearer: FloatArray
+    diameter: float
+
+
+def errors_on_target(
+    truth: Truth, predicted: IntArray, *, limit: float | None = None
+) -> TargetErrors:
+    """Errors of maps at the points of the template; all at once, which saves most of the time.
+
+    Parameters
+    ----------
+    predicted : (k, p)
+        The target vertex that each map gives each point; -1 for none.
+    limit
+        As a share of the geodesic diameter: larger errors are infinite. Without a limit, an error
+        across components counts as the diameter.
+    """
+    graph = geodesic_graph(truth.mesh)
+    diameter = geodesic_diameter(truth.mesh, graph=graph)
+    truths = [truth.index] if truth.symmetric is None else [truth.index, truth.symmetric]
+    found = geodesic_errors(
+        graph,
+        predicted.ravel(),
+        tuple(np.tile(index, len(predicted)) for index in truths),
+        limit=np.inf if limit is None else limit * diameter,
+    )
+    if limit is None:
+        found = tuple(np.minimum(error, diameter) for error in found)
+    direct, nearer = found[0], np.fmin.reduce(found)
+    return TargetErrors(direct.reshape(predicted.shape), nearer.reshape(predicted.shape), diameter)
 
 
 def geodesic_errors(

@@ -3,31 +3,38 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+import zlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
+from scipy.stats import rankdata
 
-from esd.common import FloatArray, InputError, IntArray
-from esd.datasets.collection import Shape, mended
-from esd.evaluation.errors import area_under_curve, geodesic_errors
+from esd.common import BoolArray, FloatArray, InputError, IntArray
+from esd.datasets.collection import Shape
+from esd.evaluation.errors import Truth, area_under_curve, errors_on_target
 from esd.learning.model import Model
 from esd.matching.batch import load_features, save_features
 from esd.matching.features import Features, shape_features
-from esd.matching.match import match_repaired
-from esd.mesh.geodesics import geodesic_diameter, geodesic_graph
+from esd.matching.match import match_features
 from esd.mesh.geometry import surface_area
 from esd.mesh.mesh import Mesh
-from esd.mesh.repair.repair import RESTORED, repair
+from esd.mesh.repair.repair import repair
 from esd.parallel import THIS_PROCESS, Workers, outcomes, shared_folder
 from esd.spectral.cache import Cache
+
+NEAR = 0.05  # of the geodesic diameter of the target: a match within it is right
+
+_BINS = (0, 0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 1)  # of the confidence
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairErrors:
-    """Errors of one map at the points of the template that both shapes have.
+    """Errors of one map at the p points of the template that both shapes have.
 
     Parameters
     ----------
@@ -37,24 +44,105 @@ class PairErrors:
         Geodesic distance to the true vertex, and to the nearer of the true and the mirrored one,
         in units of length; NaN where the map has no match. The second is None where no mirrored
         truth is known.
+    confidence : (p,)
+        Of the matches.
     square_root_area, diameter
         Of the target, in units of length.
     coverage
         Share of the target's vertices that some source vertex is mapped to.
+    lone_confidence : (q,)
+        Of the matches of the points that the source has and the target lacks.
+    lone_matched : (q,)
+        Whether these are matched, which is wrong.
+    verdict, expected_accuracy
+        Of the map, see `esd.matching.confidence.Judgement`; None where it was not judged.
     """
 
     source: str
     target: str
     errors: FloatArray
     symmetric_errors: FloatArray | None
+    confidence: FloatArray
     square_root_area: float
     diameter: float
     coverage: float
+    lone_confidence: FloatArray
+    lone_matched: BoolArray
+    verdict: str | None = None
+    expected_accuracy: float | None = None
+
+    def right(self) -> BoolArray:
+        """Whether each match is within 5 % of the target's geodesic diameter of the truth, (p,)."""
+        return self.errors <= NEAR * self.diameter
+
+    def overlap_iou(self) -> float:
+        """Intersection over union of the points that are matched and those with a counterpart."""
+        matched = np.isfinite(self.errors).sum()
+        return float(matched / max(len(self.errors) + self.lone_matched.sum(), 1))
+
+    def overlap_balanced_accuracy(self) -> float | None:
+        """Mean of the shares of points with a counterpart matched and of others not matched.
+
+        None where all points or none have a counterpart.
+        """
+        if not len(self.errors) or not len(self.lone_matched):
+            return None
+        return float(np.isfinite(self.errors).mean() + 1 - self.lone_matched.mean()) / 2
+
+    def confidence_separation(self) -> float | None:
+        """Probability that a point with a counterpart has more confidence than one without.
+
+        None where all points or none have a counterpart.
+        """
+        return separation(self.confidence, self.lone_confidence)
+
+
+@dataclass(frozen=True, slots=True)
+class ConfidenceBin:
+    """The matches whose confidence is from `low` to below `high`, of all pairs together.
+
+    Parameters
+    ----------
+    share
+        Of all matches.
+    confidence
+        Their mean.
+    right
+        Share of them within 5 % of the geodesic diameter of the truth; those that have no
+        counterpart are wrong.
+    """
+
+    low: float
+    high: float
+    share: float
+    confidence: float
+    right: float
+
+
+@dataclass(frozen=True, slots=True)
+class VerdictCount:
+    """The maps with one verdict.
+
+    Parameters
+    ----------
+    maps
+        Their number.
+    expected
+        Mean of the accuracies that they were expected to have.
+    right, least_right
+        Mean and least of the share of points with a counterpart that are within 5 % of the
+        geodesic diameter of it.
+    """
+
+    maps: int
+    expected: float
+    right: float
+    least_right: float
 
 
 @dataclass(frozen=True, slots=True)
 class Evaluation:
-    """Figures over all pairs: means over pairs of the figures of each.
+    """Figures over all pairs: means over pairs of the figures of each, unless said otherwise.
 
     Parameters
     ----------
@@ -72,11 +160,20 @@ class Evaluation:
     worst_pair_x100
         Largest mean error of a pair, 100 times over √area.
     matched
-        Share of the points that have a match.
+        Share of the points with a counterpart that have a match.
+    overlap_iou, overlap_balanced_accuracy, confidence_separation
+        How well the map tells points with a counterpart from those without, see `PairErrors`; None
+        where each point of a source has a counterpart.
+    calibration_error
+        Mean difference of the confidence and the share of right matches over `confidence_bins`.
     pairs
         Number of pairs.
     seconds
         Wall time.
+    verdicts
+        What the maps with each verdict are like.
+    confidence_bins
+        How many of the matches of a confidence are right.
     """
 
     mean_geodesic_error_x100: float
@@ -87,39 +184,44 @@ class Evaluation:
     coverage: float
     worst_pair_x100: float
     matched: float
+    overlap_iou: float | None
+    overlap_balanced_accuracy: float | None
+    confidence_separation: float | None
+    calibration_error: float
     pairs: int
     seconds: float
+    verdicts: Mapping[str, VerdictCount]
+    confidence_bins: tuple[ConfidenceBin, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class _Kept:
-    """The name of a shape, and the folder where what is computed of it is kept."""
+class _Saved:
+    """The name of a shape, and the folder with what was computed of it."""
 
     name: str
     folder: Path
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Embedded:
+class _EvaluatedShape:
     """A shape as it is matched, and as it is measured.
 
     Parameters
     ----------
-    mesh
-        On which errors are measured: repaired, but neither filled nor smoothed.
     features
-        Of the same filled and smoothed, r vertices, see `esd.mesh.repair.repair`.
-    represented : (r,)
-        The vertex of `mesh` that each represents: itself, or one on the rim of the hole it fills.
-    index, symmetric
-        Vertices at the points of the template.
+        By which it is matched; maps are between vertices as they are in the file.
+    points : (p,)
+        Vertex in the file at each point of the template; -1 where it has none.
+    truth
+        The same on the surface on which errors are measured, repaired but not restored.
+    measured_index : (n,)
+        The vertex of that surface of each vertex in the file; -1 for none.
     """
 
-    mesh: Mesh
     features: Features
-    represented: IntArray
-    index: IntArray
-    symmetric: IntArray | None
+    points: IntArray
+    truth: Truth
+    measured_index: IntArray
 
 
 def evaluate(
@@ -129,13 +231,15 @@ def evaluate(
     refine: bool | None = None,
     candidates: Sequence[str] | None = None,
     reject: bool = False,
+    rotate: int | None = None,
     workers: Workers = THIS_PROCESS,
     cache: Cache | None = None,
     on_step: Callable[[], None] = lambda: None,
 ) -> tuple[Evaluation, tuple[PairErrors, ...]]:
     """Figures of a model over pairs of shapes, and the errors of each pair, in their order.
 
-    First each shape is described, once, and kept on disk meanwhile; then the pairs are matched.
+    Pairs are matched as by `match`. First the features of each shape are computed, once, and kept
+    on disk meanwhile; then the pairs are matched.
 
     Parameters
     ----------
@@ -147,6 +251,9 @@ def evaluate(
         Names of the maps to choose from, see `esd.matching.match.match`.
     reject
         Whether matches beyond the model's threshold are dropped.
+    rotate
+        Seed by which each shape is rotated at random, see `randomly_rotated`; by default shapes
+        keep the orientation of their files.
     workers
         What computes. Workers of a scheduler must see the files of the shapes, and
         the current folder, under the same names.
@@ -162,22 +269,23 @@ def evaluate(
         margin.
     """
     threshold = model.threshold() if reject else np.inf
-    refine = model.is_oriented if refine is None else refine
     start = time.perf_counter()
     shapes = {shape.name: shape for pair in pairs for shape in pair}
     for shape in (shape for pair in pairs for shape in pair):
         if shape is not shapes[shape.name]:
             raise InputError(f"Two different shapes are called '{shape.name}'; rename one.")
+    if rotate is not None:
+        shapes = {n: randomly_rotated(shape, seed=rotate) for n, shape in shapes.items()}
     found: list[PairErrors] = []
     with shared_folder(workers) as folder:
-        places = {name: _Kept(name, folder / str(i)) for i, name in enumerate(shapes)}
-        first = partial(_embed, model=model, cache=cache)
+        places = {name: _Saved(name, folder / str(i)) for i, name in enumerate(shapes)}
+        first = partial(_save, model=model, cache=cache)
         jobs = ((shape, places[name]) for name, shape in shapes.items())
-        for described in outcomes(first, jobs, workers=workers):
-            if described.failure:
-                raise InputError(described.failure_of(described.job[0].name))
+        for computed in outcomes(first, jobs, workers=workers):
+            if computed.failure:
+                raise InputError(computed.failure_of(computed.job[0].name))
             on_step()
-        sources: dict[str, list[_Kept]] = {}
+        sources: dict[str, list[_Saved]] = {}
         for source, target in pairs:
             sources.setdefault(target.name, []).append(places[source.name])
         work = partial(
@@ -199,85 +307,110 @@ def evaluate(
     return _summary(found, time.perf_counter() - start), tuple(found)
 
 
-def _embed(job: tuple[Shape, _Kept], *, model: Model, cache: Cache | None) -> None:
-    """Compute what `_embedded` reads."""
+def randomly_rotated(shape: Shape, *, seed: int) -> Shape:
+    """The shape rotated about the origin, uniformly at random by the seed and the shape's name."""
+    return replace(shape, mesh=partial(_rotated, shape.mesh, shape.name, seed))
+
+
+def _rotated(mesh: Callable[[], Mesh], name: str, seed: int) -> Mesh:
+    original = mesh()
+    generator = np.random.default_rng((seed, zlib.crc32(name.encode())))
+    quaternion = generator.standard_normal(4)  # its direction is uniform, and so the rotation
+    rotation = Rotation.from_quat(quaternion).as_matrix()
+    return replace(original, vertices=original.vertices @ rotation.T)
+
+
+def _save(job: tuple[Shape, _Saved], *, model: Model, cache: Cache | None) -> None:
+    """Compute what `_load` reads."""
     shape, place = job
-    repaired, index, symmetric = mended(shape)
-    described = shape_features(repaired, model=model, cache=cache)
-    mesh, represented = repaired.shape, np.arange(len(repaired.original_index))
-    if repaired.done & RESTORED:
-        mesh = repair(shape.mesh(), all_pieces=True).shape
-        fill = slice(len(mesh.vertices), None)
-        represented[fill] = repaired.vertex_index[repaired.original_index[fill]]
-    assert isinstance(mesh, Mesh)
-    save_features(described, place.folder)
+    mesh = shape.mesh()
+    truths = [shape.correspondence()]
+    if shape.symmetric is not None:
+        truths.append(shape.symmetric())
+    for truth in truths:
+        if truth.max() >= len(mesh.vertices):
+            raise InputError(
+                f"The correspondence of '{shape.name}' names vertex {truth.max()} (from 0); "
+                f"its mesh has {len(mesh.vertices)} vertices."
+            )
+    features = shape_features(repair(mesh, restore=True), model=model, cache=cache)
+    measured = repair(mesh, all_pieces=True)
+    assert isinstance(measured.shape, Mesh)
+    save_features(features, place.folder)
     np.savez(
         place.folder / "measured.npz",
-        vertices=mesh.vertices,
-        faces=mesh.faces,
-        represented=represented,
-        index=index,
-        symmetric=np.zeros(0) if symmetric is None else symmetric,
+        vertices=measured.shape.vertices,
+        faces=measured.shape.faces,
+        vertex_index=measured.vertex_index,
+        points=truths[0],
+        symmetric=truths[1] if len(truths) > 1 else np.zeros(0, dtype=np.int64),
     )
 
 
-def _embedded(place: _Kept) -> _Embedded:
+def _load(place: _Saved) -> _EvaluatedShape:
     with np.load(place.folder / "measured.npz", allow_pickle=False) as measured:
-        return _Embedded(
-            Mesh(measured["vertices"], measured["faces"]),
-            load_features(place.folder),
-            measured["represented"],
-            measured["index"],
-            measured["symmetric"] if len(measured["symmetric"]) else None,
+        index, points, symmetric = (
+            measured[name] for name in ("vertex_index", "points", "symmetric")
         )
+        truth = Truth(
+            Mesh(measured["vertices"], measured["faces"]),
+            _followed(points, index),
+            _followed(symmetric, index) if len(symmetric) else None,
+        )
+    return _EvaluatedShape(load_features(place.folder), points, truth, index)
+
+
+def _followed(index: IntArray, next_index: IntArray) -> IntArray:
+    """Where vertices, -1 for none, go by a map."""
+    return np.where(index >= 0, next_index[index], -1)
 
 
 def _errors_on_target(
-    job: tuple[_Kept, list[_Kept]],
+    job: tuple[_Saved, list[_Saved]],
     *,
     model: Model,
-    refine: bool,
+    refine: bool | None,
     candidates: Sequence[str] | None,
     threshold: float,
 ) -> list[PairErrors]:
     """Errors of the maps from several sources to one target."""
-    target, sources = _embedded(job[0]), [_embedded(place) for place in job[1]]
-    graph = geodesic_graph(target.mesh)
-    diameter = geodesic_diameter(target.mesh, graph=graph)
-    maps = []
-    for source in sources:
-        match = match_repaired(
+    target, sources = _load(job[0]), [_load(place) for place in job[1]]
+    maps = [
+        match_features(
             source.features, target.features, model=model, refine=refine, candidates=candidates
-        )
-        matched = match.rejecting(threshold).target_index
-        # of the vertices of the source as it is measured, which come before those of fillings
-        vertices = matched[: len(source.mesh.vertices)]
-        maps.append(np.where(vertices >= 0, target.represented[vertices], -1))
-    # all maps at once, so that each target vertex is the source of distances only once
+        ).rejecting(threshold)
+        for source in sources
+    ]
+    # point of the template -> source vertex -> target vertex -> vertex that is measured
     predicted = [
-        np.where(source.index >= 0, index[source.index], -1)
-        for source, index in zip(sources, maps, strict=True)
+        _followed(_followed(source.points, found.target_index), target.measured_index)
+        for source, found in zip(sources, maps, strict=True)
     ]
-    truths = [target.index] if target.symmetric is None else [target.index, target.symmetric]
-    stacked = tuple(np.tile(truth, len(sources)) for truth in truths)
-    errors = [
-        np.minimum(error, diameter).reshape(len(sources), -1)  # another component: infinitely far
-        for error in geodesic_errors(graph, np.concatenate(predicted), stacked)
-    ]
-    shared = [(source.index >= 0) & (target.index >= 0) for source in sources]
-    nearer = errors[0] if len(errors) == 1 else np.fmin(*errors)
-    return [
-        PairErrors(
-            source=job[1][i].name,
-            target=job[0].name,
-            errors=errors[0][i, shared[i]],
-            symmetric_errors=None if target.symmetric is None else nearer[i, shared[i]],
-            square_root_area=surface_area(target.mesh) ** 0.5,
-            diameter=diameter,
-            coverage=len(np.unique(maps[i][maps[i] >= 0])) / len(target.mesh.vertices),
+    errors = errors_on_target(target.truth, np.stack(predicted))
+    results = []
+    for i, (source, found) in enumerate(zip(sources, maps, strict=True)):
+        shared = (source.points >= 0) & (target.truth.index >= 0)
+        lone = source.points[(source.points >= 0) & (target.points < 0)]
+        judged = found.judgement
+        results.append(
+            PairErrors(
+                source=job[1][i].name,
+                target=job[0].name,
+                errors=errors.direct[i, shared],
+                symmetric_errors=(
+                    None if target.truth.symmetric is None else errors.nearer[i, shared]
+                ),
+                confidence=found.confidence[source.points[shared]],
+                square_root_area=surface_area(target.truth.mesh) ** 0.5,
+                diameter=errors.diameter,
+                coverage=found.coverage(len(target.measured_index)),
+                lone_confidence=found.confidence[lone],
+                lone_matched=found.target_index[lone] >= 0,
+                verdict=judged.verdict if judged else None,
+                expected_accuracy=judged.expected_accuracy if judged else None,
+            )
         )
-        for i in range(len(sources))
-    ]
+    return results
 
 
 def _summary(found: Sequence[PairErrors], seconds: float) -> Evaluation:
@@ -292,18 +425,71 @@ def _summary(found: Sequence[PairErrors], seconds: float) -> Evaluation:
         if pair.symmetric_errors is not None and np.isfinite(pair.symmetric_errors).any()
     ]
     means = [float(error.mean()) for error in matched]
-    within = [float((pair.errors <= 0.05 * pair.diameter).mean()) for pair in found]
+    is_partial = any(len(pair.lone_matched) for pair in found)
+    bins = confidence_bins(found)
     return Evaluation(
         mean_geodesic_error_x100=100 * float(np.mean(means)),
         median_geodesic_error_x100=100 * float(np.mean([np.median(e) for e in matched])),
         symmetric_mean_geodesic_error_x100=(
             100 * float(np.mean(symmetric)) if len(symmetric) == len(matched) else None
         ),
-        accuracy_5pct_diameter=float(np.mean(within)),
+        accuracy_5pct_diameter=float(np.mean([pair.right().mean() for pair in found])),
         auc=float(np.mean([area_under_curve(error) for error in scaled])),
         coverage=float(np.mean([pair.coverage for pair in found])),
         worst_pair_x100=100 * max(means),
         matched=float(np.mean([np.isfinite(error).mean() for error in scaled])),
+        overlap_iou=_mean([pair.overlap_iou() for pair in found]) if is_partial else None,
+        overlap_balanced_accuracy=_mean([pair.overlap_balanced_accuracy() for pair in found]),
+        confidence_separation=_mean([pair.confidence_separation() for pair in found]),
+        calibration_error=sum(b.share * abs(b.confidence - b.right) for b in bins),
         pairs=len(found),
         seconds=seconds,
+        verdicts=verdict_counts(found),
+        confidence_bins=bins,
     )
+
+
+def _mean(values: Sequence[float | None]) -> float | None:
+    """Of those that are known; None where none is."""
+    known = [value for value in values if value is not None]
+    return float(np.mean(known)) if known else None
+
+
+def separation(with_one: FloatArray, without: FloatArray) -> float | None:
+    """Probability that one of the first values is larger than one of the second; ties count half.
+
+    The area under the curve of true over false positives; None where there are none of a kind.
+    """
+    if not len(with_one) or not len(without):
+        return None
+    ranks = rankdata(np.concatenate([with_one, without]))[: len(with_one)].sum()
+    below = len(with_one) * (len(with_one) + 1) / 2
+    return float((ranks - below) / (len(with_one) * len(without)))
+
+
+def confidence_bins(found: Sequence[PairErrors]) -> tuple[ConfidenceBin, ...]:
+    """The reliability diagram of the confidence: bins that have matches."""
+    confidence = np.concatenate([c for p in found for c in (p.confidence, p.lone_confidence)])
+    right = np.concatenate(
+        [part for p in found for part in (p.right(), np.zeros(len(p.lone_matched), dtype=bool))]
+    )
+    bins = []
+    for low, high in pairwise(_BINS):
+        some = (confidence >= low) & (confidence <= high if high == 1 else confidence < high)
+        if some.any():
+            means = (float(values.mean()) for values in (some, confidence[some], right[some]))
+            bins.append(ConfidenceBin(low, high, *means))
+    return tuple(bins)
+
+
+def verdict_counts(found: Sequence[PairErrors]) -> dict[str, VerdictCount]:
+    """What the maps with each verdict are like; those that were not judged are left out."""
+    counts = {}
+    for verdict in sorted({pair.verdict for pair in found if pair.verdict}):
+        some = [pair for pair in found if pair.verdict == verdict]
+        right = [float(pair.right().mean()) for pair in some]
+        expected = [pair.expected_accuracy for pair in some if pair.expected_accuracy is not None]
+        counts[verdict] = VerdictCount(
+            len(some), float(np.mean(expected)), float(np.mean(right)), min(right)
+        )
+    return counts
