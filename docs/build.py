@@ -1,4 +1,7 @@
-"""Hook of mkdocs: draws the pictures of the pages from shapes that ship with the package."""
+"""Hook of mkdocs: draws the pictures of the pages from shapes that ship with the package.
+
+`python docs/build.py` draws the picture of the README, docs/match.png, which is committed.
+"""
 
 from __future__ import annotations
 
@@ -15,11 +18,12 @@ from esd.spectral.cache import default_cache
 from esd.viewing.figures import curves_figure, match_figure, save_figure, values_figure
 from esd.viewing.page import view
 
-PICTURES = Path(__file__).parent / "pictures"
+DOCS = Path(__file__).parent
+PICTURES = DOCS / "pictures"
 
 
 def on_pre_build(config: Any) -> None:
-    """Make what is missing; `make clean` removes it."""
+    """Draw the pictures unless they exist; `make clean` removes them."""
     PICTURES.mkdir(exist_ok=True)
     if (PICTURES / "page.html").exists():
         return
@@ -51,3 +55,14 @@ def on_pre_build(config: Any) -> None:
         target_name="s12_p05",
     )
     page.save(PICTURES / "page.html")
+
+
+def draw_readme_picture() -> None:
+    """Draw two bodies and the map between them, small enough to be committed."""
+    source, target = (bodies()[name].mesh() for name in ("s10_p01", "s12_p05"))
+    figure = match_figure(source, target, match(source, target))
+    figure.savefig(DOCS / "match.png", dpi=70, pil_kwargs={"optimize": True})
+
+
+if __name__ == "__main__":
+    draw_readme_picture()

@@ -1,4 +1,4 @@
-"""The examples of the documentation do what it says: each fenced block of a page, in order."""
+"""The examples of the documentation run: each fenced block of a page, in order."""
 
 import re
 import shlex
@@ -11,7 +11,8 @@ import pytest
 from esd.cli import main
 
 DOCS = Path(__file__).parents[1] / "docs"
-PAGES = [page for page in sorted(DOCS.rglob("*.md")) if "```" in page.read_text()]
+README = DOCS.parent / "README.md"
+PAGES = [page for page in (README, *sorted(DOCS.rglob("*.md"))) if "```" in page.read_text()]
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
