@@ -26,15 +26,15 @@ from scipy.spatial import KDTree
 from esd.common import FloatArray, IntArray
 from esd.datasets.collection import Collection, Shape
 from esd.datasets.open import open_collection
-from esd.evaluation.errors import geodesic_errors
-from esd.evaluation.perturb import (
-    Perturbed,
+from esd.datasets.parts import Perturbed
+from esd.datasets.perturb import (
     edge_flips,
     geometric_noise,
     holes,
     plane_cut,
     short_circuits,
 )
+from esd.evaluation.errors import geodesic_errors
 from esd.learning.model import Model, load_model
 from esd.matching.features import describe
 from esd.matching.match import match_features

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from esd.datasets.collection import Collection, Shape
-from esd.evaluation.perturb import PERTURBATIONS
+from esd.datasets.perturb import PERTURBATIONS
 from esd.experiments import noise
 from esd.experiments.noise import NoisyMaps, mean_error, precision_recall, separation
 from esd.experiments.setting import Setting

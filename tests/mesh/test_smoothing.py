@@ -1,6 +1,6 @@
 import numpy as np
 
-from esd.evaluation.perturb import geometric_noise
+from esd.datasets.perturb import geometric_noise
 from esd.mesh.geometry import surface_area
 from esd.mesh.mesh import Mesh
 from esd.mesh.repair.repair import repair

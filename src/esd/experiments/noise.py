@@ -12,9 +12,10 @@ from scipy.stats import rankdata
 
 from esd.common import BoolArray, FloatArray, IntArray
 from esd.datasets.collection import Shape
+from esd.datasets.parts import Perturbed
+from esd.datasets.perturb import PERTURBATIONS
 from esd.descriptors.recipe import recipe_spectrum
 from esd.evaluation.errors import geodesic_errors
-from esd.evaluation.perturb import PERTURBATIONS, Perturbed
 from esd.experiments.counting import NEAR, drawn_pairs, models_key
 from esd.experiments.report import Report, Table
 from esd.experiments.setting import Setting, fingerprint

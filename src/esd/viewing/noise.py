@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from scipy.spatial import KDTree
 
 from esd.common import FloatArray
+from esd.datasets.perturb import PERTURBATIONS
 from esd.evaluation.errors import cumulative_curve
-from esd.evaluation.perturb import PERTURBATIONS
 from esd.experiments.noise import (
     MODELS,
     PARTIAL,

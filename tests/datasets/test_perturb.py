@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from esd.common import InputError
-from esd.evaluation.perturb import (
+from esd.datasets.perturb import (
     PERTURBATIONS,
     edge_flips,
     geometric_noise,

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.distance import cdist
 
-from esd.common import FloatArray, InputError, IntArray
+from esd.common import InputError, IntArray
+from esd.datasets.parts import Perturbed, beyond_plane, check_level, part_with
 from esd.mesh.geodesics import geodesic_graph
 from esd.mesh.geometry import (
     edge_lengths,
@@ -19,27 +20,11 @@ from esd.mesh.geometry import (
     vertex_normals,
 )
 from esd.mesh.mesh import Mesh
-from esd.mesh.topology import compacted, is_collapsed, is_repeated, largest_piece, sides_of
+from esd.mesh.topology import compacted, is_collapsed, is_repeated, sides_of
 
 _HOLES = 10
 _APART = 0.3  # least distance along the surface of what is welded, in units of √area
 _CHUNK = 256
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Perturbed:
-    """A disturbed mesh, and which vertex became which.
-
-    Parameters
-    ----------
-    mesh
-        All of its vertices have a face.
-    vertex_index : (n,)
-        The vertex here of each vertex of the original; -1 where it is gone.
-    """
-
-    mesh: Mesh
-    vertex_index: IntArray
 
 
 def geometric_noise(mesh: Mesh, level: float, *, seed: int = 0) -> Perturbed:
@@ -55,7 +40,7 @@ def geometric_noise(mesh: Mesh, level: float, *, seed: int = 0) -> Perturbed:
     InputError
         If the level is negative.
     """
-    _check_level(level, np.inf)
+    check_level(level, np.inf)
     generator = np.random.default_rng(seed)
     step = level * edge_lengths(mesh).mean() * generator.standard_normal((len(mesh.vertices), 1))
     return Perturbed(*compacted(Mesh(mesh.vertices + step * vertex_normals(mesh), mesh.faces)))
@@ -74,7 +59,7 @@ def holes(mesh: Mesh, level: float, *, seed: int = 0) -> Perturbed:
     InputError
         If the level is not from 0 to below 1.
     """
-    _check_level(level, 1)
+    check_level(level, 1)
     area = face_areas(mesh)
     generator = np.random.default_rng(seed)
     centres = generator.choice(len(area), size=_HOLES, p=area / area.sum())
@@ -84,7 +69,7 @@ def holes(mesh: Mesh, level: float, *, seed: int = 0) -> Perturbed:
         order = np.argsort(row[mesh.faces].mean(axis=1))
         inside = np.cumsum(area[order]) <= level / _HOLES * area.sum()
         keep[order[inside]] = False
-    return _with_faces(mesh, keep)
+    return part_with(mesh, keep)
 
 
 def edge_flips(mesh: Mesh, level: float, *, seed: int = 0) -> Perturbed:
@@ -102,7 +87,7 @@ def edge_flips(mesh: Mesh, level: float, *, seed: int = 0) -> Perturbed:
     InputError
         If the level is not from 0 to below 1.
     """
-    _check_level(level, 1)
+    check_level(level, 1)
     sides = sides_of(mesh)
     here = np.flatnonzero(sides.next & (sides.count == 2))
     here = here[sides.start[here] == sides.end[here + 1]]  # only where both faces wind alike
@@ -141,7 +126,7 @@ def short_circuits(mesh: Mesh, level: float, *, seed: int = 0) -> Perturbed:
     InputError
         If the level is not from 0 to below 1.
     """
-    _check_level(level, 1)
+    check_level(level, 1)
     pairs = _near_and_far(mesh)
     first = len(pairs) // 10 + 1
     generator = np.random.default_rng(seed)
@@ -181,14 +166,7 @@ def plane_cut(mesh: Mesh, level: float, *, seed: int = 0) -> Perturbed:
     InputError
         If the level is not from 0 to below 1.
     """
-    _check_level(level, 1)
-    direction = np.random.default_rng(seed).standard_normal(3)
-    height = mesh.vertices[mesh.faces].mean(axis=1) @ direction
-    order = np.argsort(height)
-    area = face_areas(mesh)
-    keep = np.ones(len(height), dtype=bool)
-    keep[order[np.cumsum(area[order]) <= level * area.sum()]] = False
-    return _with_faces(mesh, keep)
+    return part_with(mesh, beyond_plane(mesh, level, seed=seed))
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,15 +188,6 @@ PERTURBATIONS = {
     "cut": Perturbation(plane_cut, (0.05, 0.1, 0.2, 0.35, 0.5), "share of the area cut off"),
 }
 """The paper names noise in position and connectivity, and no levels; these are ours."""
-
-
-def _check_level(level: float, below: float) -> None:
-    if not 0 <= level < below:
-        raise InputError(f"`level` must be from 0 to below {below}; got {level}.")
-
-
-def _with_faces(mesh: Mesh, keep: FloatArray) -> Perturbed:
-    return Perturbed(*compacted(largest_piece(Mesh(mesh.vertices, mesh.faces[keep]))))
 
 
 def _near_and_far(mesh: Mesh) -> IntArray:
