@@ -138,7 +138,7 @@ def test_known_correspondences_and_broken_shapes_among_others(unregistered):
     assert model.card["shapes"] == ["s0", "s1", "s2"]
     assert model.card["known"] == ["s0", "s1"]
     assert list(model.card["left_out"]) == ["flat"]
-    with pytest.raises(InputError, match=r"two shapes or more.*got 1 that can be used. 'flat': "):
+    with pytest.raises(InputError, match=r"2 shapes or more.*got 1 that can be used. 'flat': "):
         train_unsupervised(Collection("one", some[2:]), TRAINING, teaching=short)
     with pytest.raises(InputError, match="takes presets with loss 'infonce'"):
         train_unsupervised(unregistered, preset("paper-hks"))
@@ -193,3 +193,25 @@ def test_landmarks_are_known_points():
     area = np.sqrt(surface_area(knobbed(0)))
     places = samples.positions[list(samples.known.values())]
     np.testing.assert_allclose(places, knobbed(0).vertices[[5, 9]] / area, rtol=1e-5)
+
+
+def test_two_shapes_are_trained_on_with_a_warning(unregistered, caplog):
+    two = replace(unregistered, shapes=unregistered.shapes[:2])
+    model = train_unsupervised(two, TRAINING, teaching=replace(TEACHING, steps=1))
+    assert "A model of 2 shapes will hardly be good for others" in caplog.text
+    assert sum(len(group) for group in model.card["groups"]) == 2
+
+
+def test_many_shapes_keep_fewer_points_and_no_copies(unregistered, monkeypatch):
+    run = partial(train_unsupervised, unregistered, TRAINING, teaching=replace(TEACHING, steps=1))
+    of_a_point = 4 * RECIPE.width * len(unregistered.shapes)
+    monkeypatch.setattr("esd.learning.unsupervised._FEWEST_POINTS", 100)
+    for points, expected in ((3 * 300, (300, 2)), (250, (250, 0))):
+        monkeypatch.setattr("esd.learning.unsupervised._LARGEST_MEMORY", of_a_point * points)
+        used = run().card["teaching"]
+        assert (used["points"], used["copies"]) == expected
+    monkeypatch.setattr("esd.learning.unsupervised._LARGEST_MEMORY", of_a_point * 99)
+    with pytest.raises(
+        InputError, match=r"5 shapes are more than .* can hold in memory; choose 4 "
+    ):
+        run()

@@ -7,6 +7,7 @@ used: deformed copies of each shape, landmarks, and correspondences of some of t
 from __future__ import annotations
 
 import json
+import logging
 import math
 import os
 from collections.abc import Callable, Sequence
@@ -33,7 +34,12 @@ from esd.learning.teacher import FIRST_SIZES, Lesson, Rows, is_reliable, lesson
 from esd.parallel import THIS_PROCESS, Workers
 from esd.spectral.cache import Cache, content_key
 
+_log = logging.getLogger(__name__)
+
 _LARGEST_SEED = 2**32 - 1
+_FEWEST_SHAPES, _FEW_SHAPES = 2, 6
+_LARGEST_MEMORY = 2**31  # bytes of descriptors
+_FEWEST_POINTS = 1000  # of each shape
 _LAST_RATE = 0.05  # of the learning rate, at the end of its cosine
 _TRIES = 5  # pairs tried in a step until one teaches something
 _NEAR = 0.04  # over √area: points nearer to each other than this are no negatives
@@ -55,7 +61,7 @@ class Teaching:
     recent
         Number of pairs whose matches are remembered.
     points
-        Points of each shape that are kept.
+        Points of each shape that are kept; fewer of very many shapes.
     drawn
         Points of either shape of a pair that are matched.
     batch
@@ -172,8 +178,8 @@ def train_unsupervised(
     Raises
     ------
     InputError
-        If the training or the start does not fit, fewer than two shapes can be described, or the
-        checkpoint belongs to another training.
+        If the training or the start does not fit, the shapes that can be described are fewer than
+        two or too many, or the checkpoint belongs to another training.
 
     References
     ----------
@@ -190,6 +196,7 @@ def train_unsupervised(
         raise InputError(f"`seed` must be from 0 to {_LARGEST_SEED}; got {seed}.")
     if start is not None:
         _check_start(start, training)
+    teaching = _within_memory(teaching, training, len(collection.shapes))
     describe = partial(
         collection_samples,
         recipe=training.recipe,
@@ -200,20 +207,24 @@ def train_unsupervised(
         on_shape=on_shape,
     )
     described = describe(collection, copies=teaching.copies, seed=seed)
-    if len(described.samples) < 2:
-        reasons = "".join(f" '{key}': {why}" for key, why in described.failures.items())
+    samples, left_out = described.samples, dict(described.failures)
+    if len(samples) < _FEWEST_SHAPES:
+        reasons = "".join(f" '{key}': {why}" for key, why in left_out.items())
         raise InputError(
-            "Learning without correspondences needs two shapes or more, and is good from about "
-            f"ten on; got {len(described.samples)} that can be used.{reasons}"
+            f"Learning without correspondences needs {_FEWEST_SHAPES} shapes or more, and is good "
+            f"from about ten on; got {len(samples)} that can be used.{reasons}"
         )
-    mean, deviation = moments(described.samples) if start is None else (start.mean, start.deviation)
-    scaled = partial(_standardised, mean=mean, deviation=deviation, limit=training.limit)
-    samples = tuple(scaled(each) for each in described.samples)
-    left_out = dict(described.failures)
-    del described
+    if len(samples) < _FEW_SHAPES:
+        _log.warning(
+            "A model of %d shapes will hardly be good for others; from about ten on it is.",
+            len(samples),
+        )
+    mean, deviation = moments(samples) if start is None else (start.mean, start.deviation)
     held: tuple[Samples, ...] = ()
     if validation is not None:
-        held = tuple(scaled(each) for each in describe(validation, copies=0, seed=seed).samples)
+        held = describe(validation, copies=0, seed=seed).samples
+    for each in (*samples, *held):
+        _standardise(each, mean, deviation, limit=training.limit)
 
     run = _started(training, teaching, seed, start)
     path = Path(checkpoint) if checkpoint is not None else None
@@ -277,19 +288,29 @@ def _check_start(start: Model, training: Training) -> None:
         )
 
 
-def _standardised(
-    samples: Samples,
-    *,
-    mean: FloatArray,
-    deviation: FloatArray,
-    limit: float | None,
-) -> Samples:
-    """The samples with descriptors as the network takes them; undefined ones at their mean."""
-    values = tuple(
-        np.nan_to_num(standardised(part, mean, deviation, limit=limit)).astype(np.float32)
-        for part in samples.values
+def _within_memory(teaching: Teaching, training: Training, shapes: int) -> Teaching:
+    """The same with fewer points a shape, or without copies, where all would take too much."""
+    of_one_point = 4 * training.recipe.width * shapes  # bytes
+    for copies in (teaching.copies, 0):
+        points = int(_LARGEST_MEMORY / (of_one_point * (1 + copies)))
+        if points >= min(_FEWEST_POINTS, teaching.points):
+            return replace(teaching, points=min(teaching.points, points), copies=copies)
+    raise InputError(
+        f"{shapes} shapes are more than learning without correspondences can hold in memory; "
+        f"choose {_LARGEST_MEMORY // (4 * training.recipe.width * _FEWEST_POINTS)} or fewer with "
+        "`--include`."
     )
-    return replace(samples, values=values)
+
+
+def _standardise(
+    samples: Samples, mean: FloatArray, deviation: FloatArray, *, limit: float | None
+) -> None:
+    """Change descriptors to what the network takes; undefined ones to their mean.
+
+    In place, because those of all shapes together fill much of the memory.
+    """
+    for part in samples.values:
+        part[...] = np.nan_to_num(standardised(part, mean, deviation, limit=limit))
 
 
 def _started(training: Training, teaching: Teaching, seed: int, start: Model | None) -> _Run:
