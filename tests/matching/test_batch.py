@@ -36,7 +36,7 @@ def folder(tmp_path, blob) -> Path:
 def test_a_batch_gives_the_maps_of_its_pairs_and_describes_each_shape_once(folder, monkeypatch):
     pairs = read_pairs_of_files(folder / "pairs.csv", folder=folder)
     computed, steps = [], []
-    for name in ("repair", "shape_features"):
+    for name in ("prepared", "working_features"):
         compute = getattr(batch, name)
         counted = partial(lambda f, *a, **k: computed.append(f) or f(*a, **k), compute)
         monkeypatch.setattr(batch, name, counted)

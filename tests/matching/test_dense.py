@@ -12,7 +12,7 @@ from esd.mesh.geometry import edge_lengths, surface_area
 from esd.mesh.mesh import Mesh
 from esd.mesh.remesh.remesh import nearest_place
 from esd.mesh.shapes import grid, subdivide
-from esd.spectral.coarse import CoarseCopy, coarse_copy
+from esd.spectral.coarse import MeshCopy, coarse_copy
 
 
 def shuffled(mesh: Mesh) -> tuple[Mesh, np.ndarray]:
@@ -63,7 +63,7 @@ def test_faces_that_the_map_tears_apart_have_no_vertex_between():
     # on the copy, each dense vertex lies between the first two corners of a face
     middle = np.tile([0.6, 0.4, 0.0], (len(corners), 1))
     places = np.einsum("fc,fck->fk", middle, square.vertices[corners])
-    source = CoarseCopy(square, places, np.arange(len(corners)), middle)
+    source = MeshCopy(square, places, np.arange(len(corners)), middle)
     torn_apart = square.vertices + [[100.0 * (i % 2), 0, 0] for i in range(len(square.vertices))]
     target = coarse_copy(Mesh(torn_apart, corners), 100)
     everywhere = np.arange(len(torn_apart))
@@ -78,3 +78,26 @@ def test_faces_that_the_map_tears_apart_have_no_vertex_between():
 def test_one_to_one_maps_by_copies_are_refused(blob):
     with pytest.raises(InputError, match="are not one-to-one"):
         match(blob, blob, coarse=300, one_to_one=True)
+
+
+def test_coarse_meshes_are_subdivided_and_the_map_is_that_of_their_vertices(blob):
+    """Two triangulations of one surface, a third as many vertices as descriptors need."""
+    turned = Mesh(blob.vertices[:, [1, 2, 0]], blob.faces)
+    found = match(blob, turned, mirror="no")
+    assert len(found.target_index) == len(blob.vertices)
+    gap = np.linalg.norm(blob.vertices[found.target_index] - blob.vertices, axis=1)
+    assert np.median(gap) == 0
+    assert found.target_index.max() < len(turned.vertices)
+
+
+def test_a_subdivided_copy_keeps_values_at_the_vertices(blob):
+    from esd.spectral.coarse import fine_copy
+
+    copy = fine_copy(blob, 2000)
+    assert len(copy.mesh.vertices) >= 2000
+    np.testing.assert_allclose(copy.carried(copy.mesh.vertices), blob.vertices)
+
+
+def test_copies_are_refused_where_there_are_to_be_none(blob):
+    with pytest.raises(InputError, match="are not full"):
+        match(blob, blob, coarse=400, full=True)

@@ -14,6 +14,7 @@ from esd.cli.options import (
     CoarseOption,
     DeviceOption,
     ForceOption,
+    FullOption,
     JsonOption,
     Mirror,
     MirrorOption,
@@ -53,6 +54,7 @@ def batch(
     reject: RejectOption = False,
     one_to_one: OneToOneOption = False,
     coarse: CoarseOption = None,
+    full: FullOption = False,
     repair: RepairOption = False,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
@@ -88,6 +90,7 @@ def batch(
             one_to_one=one_to_one,
             everything=repair,
             coarse=coarse,
+            full=full,
             workers=computing,
             on_step=lambda: advance(1),
         ):

@@ -13,6 +13,7 @@ from esd.cli.options import (
     CoarseOption,
     DeviceOption,
     ForceOption,
+    FullOption,
     JsonOption,
     Mirror,
     MirrorOption,
@@ -60,6 +61,7 @@ def match(
     reject: RejectOption = False,
     one_to_one: OneToOneOption = False,
     coarse: CoarseOption = None,
+    full: FullOption = False,
     view: Annotated[
         bool,
         typer.Option("--view", help="Also write a page that shows the map, and open it."),
@@ -79,8 +81,8 @@ def match(
 
     from esd.learning.model import load_model
     from esd.matching.correspondence import check_map_path, save_map
+    from esd.matching.match import check_copies, prepared
     from esd.matching.match import match as match_meshes
-    from esd.mesh.repair.repair import repair as repaired
     from esd.mesh.repair.repair import usable_part
 
     start = time.perf_counter()
@@ -91,11 +93,14 @@ def match(
     if view:
         free_path(page, force=force)
         drawn = usable_part(source), usable_part(target)
+    check_copies(one_to_one=one_to_one, coarse=coarse, full=full)
     loaded = load_model(model, device=device)
     if reject:
         loaded.threshold()  # refused before anything is computed
     names, pairs = _landmark_pairs(landmarks or [], source, target)
-    shapes = [repaired(path, everything=repair, restore=True) for path in (source, target)]
+    shapes = [
+        prepared(path, everything=repair, coarse=coarse, full=full) for path in (source, target)
+    ]
     result = match_meshes(
         *shapes,
         model=loaded,
@@ -105,6 +110,7 @@ def match(
         landmarks=pairs,
         mirror=mirror.value,
         coarse=coarse,
+        full=full,
     )
     if reject:
         result = result.rejecting(loaded.threshold())

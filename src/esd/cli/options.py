@@ -79,9 +79,17 @@ CoarseOption = Annotated[
     typer.Option(
         metavar="N",
         min=300,
-        help="For dense meshes: match copies of about N vertices, such as 10000, and upsample "
-        "the map to all.",
+        help="Match remeshed copies of about N vertices and upsample the map to all; 10000 by "
+        "default where a mesh has more than fifty thousand.",
         show_default=False,
+    ),
+]
+FullOption = Annotated[
+    bool,
+    typer.Option(
+        "--full",
+        help="Match the meshes as they are: no remeshed copies of those with more than fifty "
+        "thousand vertices, no subdivided ones of those with fewer than two thousand.",
     ),
 ]
 RepairOption = Annotated[

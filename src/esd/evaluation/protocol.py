@@ -19,8 +19,8 @@ from esd.datasets.collection import Shape
 from esd.evaluation.errors import Truth, area_under_curve, errors_on_target
 from esd.learning.model import Model
 from esd.matching.batch import load_features, save_features
-from esd.matching.features import Features, shape_features
-from esd.matching.match import match_features
+from esd.matching.features import Features
+from esd.matching.match import match_features, prepared, working_features
 from esd.mesh.geometry import surface_area
 from esd.mesh.mesh import Mesh
 from esd.mesh.repair.repair import repair
@@ -279,7 +279,7 @@ def evaluate(
     found: list[PairErrors] = []
     with shared_folder(workers) as folder:
         places = {name: _Saved(name, folder / str(i)) for i, name in enumerate(shapes)}
-        first = partial(_save, model=model, cache=cache)
+        first = partial(_save, model=model, refine=refine, cache=cache)
         jobs = ((shape, places[name]) for name, shape in shapes.items())
         for computed in outcomes(first, jobs, workers=workers):
             if computed.failure:
@@ -320,7 +320,9 @@ def _rotated(mesh: Callable[[], Mesh], name: str, seed: int) -> Mesh:
     return replace(original, vertices=original.vertices @ rotation.T)
 
 
-def _save(job: tuple[Shape, _Saved], *, model: Model, cache: Cache | None) -> None:
+def _save(
+    job: tuple[Shape, _Saved], *, model: Model, refine: bool | None, cache: Cache | None
+) -> None:
     """Compute what `_load` reads."""
     shape, place = job
     mesh = shape.mesh()
@@ -333,7 +335,7 @@ def _save(job: tuple[Shape, _Saved], *, model: Model, cache: Cache | None) -> No
                 f"The correspondence of '{shape.name}' names vertex {truth.max()} (from 0); "
                 f"its mesh has {len(mesh.vertices)} vertices."
             )
-    features = shape_features(repair(mesh, restore=True), model=model, cache=cache)
+    features = working_features(prepared(mesh), model=model, refine=refine, cache=cache)
     measured = repair(mesh, all_pieces=True)
     assert isinstance(measured.shape, Mesh)
     save_features(features, place.folder)

@@ -14,13 +14,12 @@ import numpy as np
 from esd.common import InputError
 from esd.learning.model import Model
 from esd.matching.correspondence import check_map_path, save_map
-from esd.matching.features import Features, shape_features
-from esd.matching.match import Mirror, check_copies, match_features
+from esd.matching.features import Features
+from esd.matching.match import Mirror, check_copies, match_features, prepared, working_features
 from esd.mesh.mesh import Mesh, PointCloud
-from esd.mesh.repair.repair import repair
 from esd.parallel import EVERY_CORE, Workers, outcomes, shared_folder
 from esd.spectral.cache import default_cache
-from esd.spectral.coarse import CoarseCopy
+from esd.spectral.coarse import MeshCopy
 from esd.spectral.spectrum import Spectrum
 
 
@@ -118,6 +117,7 @@ def match_files(
     reject: bool = False,
     everything: bool = False,
     coarse: int | None = None,
+    full: bool = False,
     workers: Workers = EVERY_CORE,
     on_step: Callable[[], None] = lambda: None,
 ) -> Iterator[MatchedPair]:
@@ -134,7 +134,7 @@ def match_files(
         Whether matches beyond the model's threshold are dropped.
     everything
         See `esd.mesh.doctor.repair`.
-    coarse
+    coarse, full
         See `match`.
     workers
         What computes. Workers of a scheduler must see the meshes, the current folder
@@ -142,13 +142,20 @@ def match_files(
     on_step
         Called after each shape and after each pair, to show progress.
     """
-    check_copies(one_to_one=one_to_one, coarse=coarse)
+    check_copies(one_to_one=one_to_one, coarse=coarse, full=full)
+    full = full or one_to_one
     threshold = model.threshold() if reject else np.inf
     files = list(dict.fromkeys(file for pair in pairs for file in (pair.source, pair.target)))
     with shared_folder(workers) as folder:
         places = {file: folder / str(number) for number, file in enumerate(files)}
         first = partial(
-            _save_features_of, places=places, model=model, everything=everything, coarse=coarse
+            _save_features_of,
+            places=places,
+            model=model,
+            everything=everything,
+            coarse=coarse,
+            full=full,
+            refine=refine,
         )
         failures = {}
         for computed in outcomes(first, files, workers=workers):
@@ -185,11 +192,16 @@ def _save_features_of(
     model: Model,
     everything: bool,
     coarse: int | None,
+    full: bool,
+    refine: bool | None,
 ) -> None:
     """Compute the features of a shape, and write them to its folder."""
-    shape = repair(file, everything=everything, restore=True)
+    shape = prepared(file, everything=everything, coarse=coarse, full=full)
     save_features(
-        shape_features(shape, model=model, coarse=coarse, cache=default_cache()), places[file]
+        working_features(
+            shape, model=model, refine=refine, coarse=coarse, full=full, cache=default_cache()
+        ),
+        places[file],
     )
 
 
@@ -264,7 +276,7 @@ def load_features(folder: Path) -> Features:
         shape = Mesh(arrays["vertices"], arrays["faces"])
     copy = None
     if isinstance(shape, Mesh) and "face" in arrays:
-        copy = CoarseCopy(shape, arrays["dense"], arrays["face"], arrays["barycentric"])
+        copy = MeshCopy(shape, arrays["dense"], arrays["face"], arrays["barycentric"])
     spectrum = Spectrum(
         arrays["eigenvalues"], arrays["eigenvectors"], arrays["mass"], int(arrays["zero_modes"])
     )

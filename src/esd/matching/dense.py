@@ -11,7 +11,7 @@ from esd.common import FloatArray
 from esd.matching.correspondence import Correspondence
 from esd.matching.transfer import Places, carried_values
 from esd.mesh.geometry import surface_area, vertex_normals
-from esd.spectral.coarse import CoarseCopy
+from esd.spectral.coarse import MeshCopy
 
 _TORN = 5.0  # times its own size, beyond which the image of a face lies across a tear of the map
 
@@ -19,8 +19,8 @@ _TORN = 5.0  # times its own size, beyond which the image of a face lies across 
 def carried_to_dense(
     match: Correspondence,
     image: Places,
-    source: CoarseCopy,
-    target: CoarseCopy,
+    source: MeshCopy,
+    target: MeshCopy,
 ) -> Correspondence:
     """The map between dense meshes that a map between their copies gives.
 
@@ -55,7 +55,7 @@ def carried_to_dense(
     )
 
 
-def _not_across_tears(source: CoarseCopy, there: FloatArray, area: float) -> CoarseCopy:
+def _not_across_tears(source: MeshCopy, there: FloatArray, area: float) -> MeshCopy:
     """The copy with dense vertices moved to a corner of their face where its image is torn."""
     faces = source.mesh.faces
     size, stretched = (

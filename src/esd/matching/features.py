@@ -14,8 +14,10 @@ from esd.learning.patches import patch_operator
 from esd.mesh.mesh import Mesh, PointCloud
 from esd.mesh.repair.repair import Repaired
 from esd.spectral.cache import Cache
-from esd.spectral.coarse import CoarseCopy, coarse_copy
+from esd.spectral.coarse import MeshCopy, coarse_copy, fine_copy
 from esd.spectral.spectrum import Spectrum
+
+_FEWEST = 2000  # vertices, of fewer than which descriptors differ between triangulations
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,7 +53,7 @@ class Features:
     vertex_index: IntArray
     original_index: IntArray
     filling: int = 0
-    copy: CoarseCopy | None = None
+    copy: MeshCopy | None = None
 
     def located(self, vertices: IntArray) -> IntArray:
         """The vertices of the shape, (l,), at some original ones; -1 for those left out."""
@@ -107,6 +109,7 @@ def shape_features(
     *,
     model: Model,
     coarse: int | None = None,
+    resample: bool = False,
     pairs: Spectrum | None = None,
     cache: Cache | None = None,
 ) -> Features:
@@ -116,6 +119,9 @@ def shape_features(
     ----------
     coarse
         Number of vertices of the copy, see `esd.spectral.coarse.coarse_copy`.
+    resample
+        Whether meshes too coarse for the descriptors, of fewer than two thousand vertices, are
+        subdivided first, see `esd.spectral.coarse.fine_copy`.
     pairs
         The `recipe_spectrum` of the repaired shape, where it is at hand and there is no copy.
     cache
@@ -126,7 +132,11 @@ def shape_features(
     InputError
         If the shape has no such copy, or cannot be described.
     """
-    copy = None if coarse is None else coarse_copy(repaired.shape, coarse, cache=cache)
+    copy = None
+    if coarse is not None:
+        copy = coarse_copy(repaired.shape, coarse, cache=cache)
+    elif resample and isinstance(repaired.shape, Mesh) and len(repaired.shape.vertices) < _FEWEST:
+        copy = fine_copy(repaired.shape, _FEWEST)
     shape = repaired.shape if copy is None else copy.mesh
     if pairs is None or copy is not None:
         pairs = recipe_spectrum(model.recipe, shape, cache=cache)

@@ -29,6 +29,7 @@ from esd.mesh.repair.repair import Repaired, repair
 from esd.nearest import nearest
 from esd.parallel import side_by_side
 from esd.spectral.cache import Cache, default_cache
+from esd.spectral.coarse import coarse_copy
 
 _log = logging.getLogger(__name__)
 
@@ -36,7 +37,10 @@ DEFAULT_MODEL = "default"
 """Name of the model that is used where none is given."""
 
 DENSE = 50_000
-"""Number of vertices beyond which a map by way of coarse copies is advised."""
+"""Number of vertices beyond which a map goes by way of coarse copies."""
+
+COARSE = 10_000
+"""Number of vertices of these copies."""
 
 Mirror: TypeAlias = Literal["auto", "yes", "no"]
 
@@ -56,6 +60,7 @@ def match(
     landmarks: IntArray | None = None,
     mirror: Mirror = "auto",
     coarse: int | None = None,
+    full: bool = False,
     cache: Cache | None = None,
 ) -> Correspondence:
     """The target vertex that corresponds to each source vertex, how surely, and a judgement.
@@ -84,7 +89,10 @@ def match(
         it is where the mirror image fits clearly better, see `Judgement.is_mirrored`.
     coarse
         For dense meshes: number of vertices of the copies, remeshed, that are matched in their
-        place; the map is carried to all vertices, see `esd.matching.dense`. Ten thousand do.
+        place; the map is upsampled to all vertices, see `esd.matching.dense`. By default ten
+        thousand if a mesh has more than fifty thousand.
+    full
+        Whether meshes are matched as they are, dense or coarse: no copies are made.
     cache
         Where spectra and coarse copies are looked up and kept; the user's cache by default.
 
@@ -93,22 +101,16 @@ def match(
     InputError
         If a mesh or the model cannot be used.
     """
-    check_copies(one_to_one=one_to_one, coarse=coarse)
+    check_copies(one_to_one=one_to_one, coarse=coarse, full=full)
     if candidates is not None:
         check_candidates(candidates, landmarks=landmarks is not None)
     model = model if isinstance(model, Model) else load_model(model)
     cache = default_cache() if cache is None else cache
-    shapes = repair(source, restore=True), repair(target, restore=True)
-    for name, each in zip(("source", "target"), shapes, strict=True):
-        count = len(each.shape.vertices)
-        if coarse is None and count > DENSE and isinstance(each.shape, Mesh):
-            _log.warning(
-                "The %s has %d vertices: by way of coarse copies (--coarse 10000) the map would "
-                "be about as good, in a fraction of the time and memory.",
-                name,
-                count,
-            )
-    work = partial(shape_features, model=model, coarse=coarse, cache=cache)
+    full = full or one_to_one
+    shapes = [prepared(each, coarse=coarse, full=full) for each in (source, target)]
+    work = partial(
+        working_features, model=model, refine=refine, coarse=coarse, full=full, cache=cache
+    )
     is_dense = max(len(each.shape.vertices) for each in shapes) > DENSE
     # not both at a time where memory is scarce
     described = [work(each) for each in shapes] if is_dense else side_by_side(work, shapes)
@@ -128,10 +130,58 @@ def match(
     return found
 
 
-def check_copies(*, one_to_one: bool, coarse: int | None) -> None:
-    """Raise an `InputError` if a map by way of coarse copies is to be one-to-one."""
+def check_copies(*, one_to_one: bool, coarse: int | None, full: bool = False) -> None:
+    """Raise an `InputError` if a map by way of coarse copies is to be one-to-one, or full."""
     if one_to_one and coarse is not None:
         raise InputError("Maps by way of coarse copies are not one-to-one; leave out one of both.")
+    if full and coarse is not None:
+        raise InputError("Maps by way of coarse copies are not full; leave out one of both.")
+
+
+def prepared(
+    source: MeshLike | Repaired,
+    *,
+    everything: bool = False,
+    coarse: int | None = None,
+    full: bool = False,
+) -> Repaired:
+    """A shape repaired for `match`; a dense one so that it can be remeshed.
+
+    Parameters
+    ----------
+    everything
+        See `esd.mesh.repair.repair`.
+    coarse, full
+        See `match`.
+    """
+    found = repair(source, everything=everything, restore=True)
+    if not everything and not full and (coarse is not None or _is_dense(found)):
+        return repair(source, everything=True, restore=True)
+    return found
+
+
+def working_features(
+    repaired: Repaired,
+    *,
+    model: Model,
+    refine: bool | None = None,
+    coarse: int | None = None,
+    full: bool = False,
+    cache: Cache | None = None,
+) -> Features:
+    """The features that `match` computes of a shape: of a copy where it is too dense or coarse.
+
+    See `match` for the parameters.
+    """
+    if coarse is None and not full and _is_dense(repaired):
+        coarse = COARSE
+        _log.info("Matching a copy of %d vertices; --full matches all.", coarse)
+    resample = not full and (model.is_oriented if refine is None else refine)
+    return shape_features(repaired, model=model, coarse=coarse, resample=resample, cache=cache)
+
+
+def _is_dense(repaired: Repaired) -> bool:
+    return isinstance(repaired.shape, Mesh) and len(repaired.shape.vertices) > DENSE
 
 
 def match_features(
@@ -191,8 +241,8 @@ def match_repaired(
         raise InputError("Landmarks and mirror images need meshes; these are points.")
     else:
         maps = _nearest_maps(source, target, refine=refine, device=model.device)
-    is_dense = source.copy is not None and target.copy is not None
-    rows = maps.rows() if one_to_one or is_dense else (source.embedded, target.embedded)
+    is_copy = source.copy is not None or target.copy is not None
+    rows = maps.rows() if one_to_one or is_copy else (source.embedded, target.embedded)
     index = assignment(*rows) if one_to_one else maps.index
     found = with_similarity(source.embedded, target.embedded, index, margin=model.margin)
     found = _judged(found, maps.back, source, target)
@@ -203,12 +253,18 @@ def match_repaired(
                 found.judgement, costs=costs, is_mirrored=is_mirrored, contradicted=contradicted
             ),
         )
-    if source.copy is not None and target.copy is not None:
+    if is_copy:
         from esd.matching.dense import carried_to_dense  # with trimesh, which is slow to import
         from esd.matching.precise import precise_map
 
-        image = precise_map(*rows, target.copy.mesh.faces, found.target_index)
-        found = carried_to_dense(found, image, source.copy, target.copy)
+        copies = [
+            coarse_copy(shape.shape, len(shape.shape.vertices))
+            if shape.copy is None
+            else shape.copy
+            for shape in (source, target)
+        ]
+        image = precise_map(*rows, copies[1].mesh.faces, found.target_index)
+        found = carried_to_dense(found, image, *copies)
     return found
 
 

@@ -1,4 +1,4 @@
-"""Coarse copies of dense meshes, and what they tell about these."""
+"""Copies of meshes: coarser ones of dense meshes, finer ones of coarse meshes."""
 
 from __future__ import annotations
 
@@ -10,23 +10,24 @@ from scipy import linalg
 from esd.common import FloatArray, InputError, IntArray
 from esd.mesh.geometry import is_referenced
 from esd.mesh.mesh import Mesh, PointCloud
+from esd.mesh.shapes import subdivide
 from esd.spectral.cache import Arrays, Cache, content_key
 from esd.spectral.laplacian import LaplacianKind, lumped_mass
 from esd.spectral.spectrum import Spectrum, spectrum
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CoarseCopy:
-    """A mesh with fewer vertices on the same surface, and where the n dense ones lie on it.
+class MeshCopy:
+    """A mesh with other vertices on the same surface, and where the n original ones lie on it.
 
     Parameters
     ----------
     mesh : Mesh
         The copy.
     vertices : (n, 3)
-        Of the dense mesh.
+        Of the original mesh.
     face : (n,)
-        Face of the copy nearest to each vertex of the dense mesh; -1 where that has no face.
+        Face of the copy nearest to each original vertex; -1 where that has no face.
     barycentric : (n, 3)
         Barycentric coordinates of the nearest point there; NaN for none.
     """
@@ -37,7 +38,7 @@ class CoarseCopy:
     barycentric: FloatArray
 
     def carried(self, values: FloatArray) -> FloatArray:
-        """Values at the dense vertices, (n, …), of values at the copy's vertices; NaN for none."""
+        """Values at the original vertices, (n, …), of values at the copy's; NaN for none."""
         corners = self.mesh.faces[self.face]
         result = np.zeros((len(self.face), *values.shape[1:]))
         for corner in range(3):  # one after another, since all at once may not fit into memory
@@ -48,7 +49,7 @@ class CoarseCopy:
 
 def coarse_copy(
     mesh: Mesh | PointCloud, vertex_count: int, *, cache: Cache | None = None
-) -> CoarseCopy:
+) -> MeshCopy:
     """A copy of a mesh remeshed to about some number of vertices, equal for equal meshes.
 
     A mesh that has no more is its own copy.
@@ -82,7 +83,26 @@ def coarse_copy(
     face = np.full(len(mesh.vertices), -1, dtype=np.int64)
     barycentric = np.full((len(face), 3), np.nan)
     face[used], barycentric[used] = nearest_place(copy, mesh.vertices[used], near[used])
-    return CoarseCopy(copy, mesh.vertices, face, barycentric)
+    return MeshCopy(copy, mesh.vertices, face, barycentric)
+
+
+def fine_copy(mesh: Mesh, least: int) -> MeshCopy:
+    """A copy of a mesh subdivided until it has at least some number of vertices.
+
+    The surface stays the same: flat faces are cut in four at the midpoints of their edges.
+    """
+    copy = mesh
+    while len(copy.vertices) < least:
+        copy = subdivide(copy)
+    # the first vertices of a subdivided mesh are those of the mesh: each a corner of some face
+    corner = np.full(len(mesh.vertices), -1, dtype=np.int64)
+    flat = copy.faces.ravel()
+    own = np.flatnonzero(flat < len(corner))
+    corner[flat[own]] = own
+    barycentric = np.full((len(corner), 3), np.nan)
+    found = np.flatnonzero(corner >= 0)
+    barycentric[found] = np.eye(3)[corner[found] % 3]
+    return MeshCopy(copy, mesh.vertices, np.where(corner >= 0, corner // 3, -1), barycentric)
 
 
 def coarse_spectrum(
