@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+import esd
 from esd.cli import main
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -40,3 +41,8 @@ def test_tests_that_a_page_names_exist():
     named = set(re.findall(r"`(test_\w+)`", (DOCS / "robustness.md").read_text()))
     assert len(named) > 15
     assert {name for name in named if f"def {name}(" not in written} == set()
+
+
+def test_the_reference_lists_every_public_name():
+    listed = set(re.findall(r"^::: ([\w.]+)$", (DOCS / "reference.md").read_text(), re.MULTILINE))
+    assert {f"{home}.{name}" for name, home in esd._HOMES.items()} - listed == set()
