@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Literal, TypeAlias
-
 import numpy as np
 
 from esd.common import FloatArray, InputError
 from esd.spectral.spectrum import Spectrum
-
-HksVariant: TypeAlias = Literal["raw", "trace"]
 
 
 def heat_times(spectrum: Spectrum, *, count: int = 100) -> FloatArray:
@@ -26,7 +22,6 @@ def hks(
     *,
     times: FloatArray | None = None,
     count: int = 100,
-    variant: HksVariant = "raw",
 ) -> FloatArray:
     """Heat kernel signature, (n, t): Σ exp(−λ t) φ², the constant modes included.
 
@@ -36,9 +31,6 @@ def hks(
     ----------
     times : (t,), optional
         In units of area; by default `heat_times` with `count`.
-    variant
-        `raw` as it stands above, or `trace`: divided at each time by Σ exp(−λ t), the heat
-        trace, which makes its integral over the surface one (Sun et al. 2009, section 5).
 
     Raises
     ------
@@ -53,7 +45,4 @@ def hks(
     times = heat_times(spectrum, count=count) if times is None else np.asarray(times, dtype=float)
     if times.ndim != 1 or not (times > 0).all():
         raise InputError(f"`times` must be a list of positive numbers; got {times}.")
-    weights = np.exp(-np.outer(spectrum.eigenvalues, times))
-    if variant == "trace":
-        weights /= weights.sum(axis=0)
-    return spectrum.eigenvectors**2 @ weights
+    return spectrum.eigenvectors**2 @ np.exp(-np.outer(spectrum.eigenvalues, times))

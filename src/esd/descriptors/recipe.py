@@ -44,8 +44,8 @@ class Descriptor:
     log
         Whether its logarithm is taken; for positive descriptors.
     options
-        Further keyword arguments of the descriptor's function, such as `variant`. Gradient products
-        have instead: `of`, the kind of the descriptor whose logarithm they are taken of;
+        Further keyword arguments of the descriptor's function, such as `time_unit`. Gradient
+        products have instead: `of`, the kind of the descriptor whose logarithm they are taken of;
         `columns`, which of its components; `reach`, with how many of those after it each of these
         is multiplied; and `times`.
     """

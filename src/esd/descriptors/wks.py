@@ -2,44 +2,32 @@
 
 from __future__ import annotations
 
-from typing import Literal, TypeAlias
-
 import numpy as np
 
 from esd.common import FloatArray, InputError
 from esd.spectral.spectrum import Spectrum
 
-WksVariant: TypeAlias = Literal["aubry", "pokrass"]
-
-_WIDTH = 7.0  # σ in units of the energy step, in both variants
+_WIDTH = 7.0  # σ in units of the energy step
 
 
-def wave_energies(
-    spectrum: Spectrum, *, count: int = 100, variant: WksVariant = "aubry"
-) -> tuple[FloatArray, float]:
+def wave_energies(spectrum: Spectrum, *, count: int = 100) -> tuple[FloatArray, float]:
     """Energies (count,), even in the logarithm of the eigenvalue, and the width σ.
 
-    `aubry`: from ln λ_first to ln λ_last, σ = 7 steps. `pokrass`: σ = 7 (ln λ_last − ln λ_first) /
-    count, both ends drawn in by 2 σ. λ_first is the first non-zero eigenvalue.
+    From ln λ_first to ln λ_last, with σ = 7 steps. λ_first is the first non-zero eigenvalue.
 
     Raises
     ------
     InputError
-        If `count` is below two, or the interval of `pokrass` is empty.
+        If `count` is below two.
     """
     if count < 2:
         raise InputError(f"WKS needs at least two energies; got {count}.")
     values, _ = spectrum.nonzero()
     low, high = np.log(values[0]), np.log(values[-1])
-    if variant == "aubry":
-        return np.linspace(low, high, count), float(_WIDTH * (high - low) / (count - 1))
-    width = float(_WIDTH * (high - low) / count)
-    if not low + 2 * width < high - 2 * width:
-        raise InputError(f"The variant `pokrass` needs at least 29 energies; got {count}.")
-    return np.linspace(low + 2 * width, high - 2 * width, count), width
+    return np.linspace(low, high, count), float(_WIDTH * (high - low) / (count - 1))
 
 
-def wks(spectrum: Spectrum, *, count: int = 100, variant: WksVariant = "aubry") -> FloatArray:
+def wks(spectrum: Spectrum, *, count: int = 100) -> FloatArray:
     """Wave kernel signature, (n, count): means of φ² weighted by exp(−(e − ln λ)² / 2 σ²).
 
     In units of 1 / area; scaling the shape changes nothing else, since the energies move with the
@@ -49,16 +37,14 @@ def wks(spectrum: Spectrum, *, count: int = 100, variant: WksVariant = "aubry") 
     Parameters
     ----------
     count
-        Number of energies.
-    variant
-        Energies and width, see `wave_energies`.
+        Number of energies, see `wave_energies`.
 
     References
     ----------
     Aubry, Schlickewei, Cremers 2011, *The wave kernel signature*; equations 4 to 6 of the paper,
     which leaves the width and the normalisation open.
     """
-    energies, width = wave_energies(spectrum, count=count, variant=variant)
+    energies, width = wave_energies(spectrum, count=count)
     values, vectors = spectrum.nonzero()
     weights = np.exp(-((energies - np.log(values)[:, None]) ** 2) / (2 * width**2))
     return vectors**2 @ (weights / weights.sum(axis=0))

@@ -142,7 +142,7 @@ def _training(preset: str, *, quick: bool) -> Training:
     if not quick:
         return training
     short = shortened(training, _QUICK_STEPS[preset])
-    return replace(short, look_every=max(1, short.steps // _QUICK_LOOKS))
+    return replace(short, validate_every=max(1, short.steps // _QUICK_LOOKS))
 
 
 def _excluded(setting: Setting) -> BoolArray | None:

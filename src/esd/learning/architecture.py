@@ -11,6 +11,7 @@ import torch
 from esd.common import InputError
 from esd.learning.losses import PairCriteria, contrastive_loss, pair_criteria
 from esd.learning.network import linear_layers, seeded_network
+from esd.learning.optimise import descend
 from esd.learning.pairs import PairBatch, PointTable, draw_pairs
 from esd.learning.presets import Training
 from esd.learning.train import learning_rate
@@ -58,12 +59,10 @@ def train_many(
             count=training.batch,
             soft_label=training.soft_label,
         )
-        optimiser.param_groups[0]["lr"] = learning_rate(training, step)
         squared = _squared_distances(networks, table, batch)
         label = torch.from_numpy(batch.label)
-        optimiser.zero_grad()
-        contrastive_loss(squared, label, margin=training.margin).sum().backward()
-        optimiser.step()
+        loss = contrastive_loss(squared, label, margin=training.margin).sum()
+        descend(optimiser, loss, rate=learning_rate(training, step))
     return [(weight.detach(), bias.detach()) for weight, bias in networks]
 
 

@@ -15,6 +15,7 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 from esd.common import FloatArray, IntArray
 from esd.learning.losses import contrastive_loss
 from esd.learning.network import linear_layers, seeded_network
+from esd.learning.optimise import descend
 
 
 class SpectralEmbedding(
@@ -100,15 +101,11 @@ class SpectralEmbedding(
         widths = [X.shape[1], *self.hidden, self.n_components]
         network = seeded_network(widths, int(generator.randint(2**31 - 1)))
         optimiser = torch.optim.Adam(network.parameters(), lr=self.learning_rate)
-        schedule = torch.optim.lr_scheduler.ExponentialLR(optimiser, self.decay)
-        for _ in range(self.steps):
+        for step in range(self.steps):
             source, target, truth = _pairs(label, self.batch, self.soft_label, generator)
             squared = ((network(rows[source]) - network(rows[target])) ** 2).sum(dim=1)
             loss = contrastive_loss(squared, torch.from_numpy(truth), margin=self.margin).sum()
-            optimiser.zero_grad()
-            loss.backward()
-            optimiser.step()
-            schedule.step()
+            descend(optimiser, loss, rate=self.learning_rate * self.decay**step)
         self.weights_ = [
             (layer.weight.detach().numpy(), layer.bias.detach().numpy())
             for layer in linear_layers(network)
@@ -149,7 +146,7 @@ def _pairs(
     target = np.empty(count, dtype=np.int64)
     same = label[source[:half]]
     target[:half] = order[first[same] + generator.randint(0, size[same])]
-    # any row but those of the same point, which stand together in `order`
+    # any row but those of the same point, which follow each other in `order`
     other = label[source[half:]]
     step = generator.randint(0, len(label) - size[other])
     target[half:] = order[(first[other] + size[other] + step) % len(label)]

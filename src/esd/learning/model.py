@@ -141,20 +141,26 @@ class Model:
             parts = range(0, len(values), _ROWS)
             return np.concatenate([self.embed(values[i : i + _ROWS]) for i in parts])
         result = standardised(values, self.mean, self.deviation, limit=self.limit)
-        if self.device != "cpu" and self.patches is None:
-            from esd.learning.network import embedded
-
-            return embedded(result, self)
-        for i, layer in enumerate(self.layers):
-            result = np.maximum(result, 0) if i else result
-            if layer.weight.ndim == 2:
-                result = result @ layer.weight.T + layer.bias
-            else:
-                turned = isinstance(self.patches, GeodesicPatches)
-                result = convolution(operator, result, layer.weight, turned=turned) + layer.bias
+        result = self._after_layers(result, operator)
         if self.unit_length:
             result /= np.linalg.norm(result, axis=1, keepdims=True)
         return result
+
+    def _after_layers(self, values: FloatArray, operator: SparseMatrix | None) -> FloatArray:
+        """Standardised descriptors (n, width) after all layers, (n, outputs)."""
+        if self.device != "cpu" and self.patches is None:
+            from esd.learning.network import propagated
+
+            layers = [(layer.weight, layer.bias) for layer in self.layers]
+            return propagated(values, layers, device=self.device)
+        for i, layer in enumerate(self.layers):
+            values = np.maximum(values, 0) if i else values
+            if layer.weight.ndim == 2:
+                values = values @ layer.weight.T + layer.bias
+            else:
+                turned = isinstance(self.patches, GeodesicPatches)
+                values = convolution(operator, values, layer.weight, turned=turned) + layer.bias
+        return values
 
     def embed_mesh(self, mesh: Mesh | PointCloud, *, cache: Cache | None = None) -> FloatArray:
         """Embedding (n, outputs) of the vertices of a mesh; NaN at vertices without a face."""

@@ -12,7 +12,6 @@ from torch import nn
 
 from esd.common import FloatArray, IntArray
 from esd.learning.gcnn import GeodesicPatches
-from esd.learning.model import Model
 from esd.learning.patches import Patches
 from esd.spectral.laplacian import SparseMatrix
 
@@ -94,14 +93,22 @@ def embedding_network(
     return nn.Sequential(*layers)
 
 
-def embedded(values: FloatArray, model: Model) -> FloatArray:
-    """Embedding (n, outputs) of standardised descriptors (n, width), on the model's device."""
-    rows = torch.from_numpy(values).to(model.device)
-    for i, layer in enumerate(model.layers):
-        weight, bias = (torch.from_numpy(array).to(rows) for array in (layer.weight, layer.bias))
+def propagated(
+    values: FloatArray, layers: Sequence[tuple[FloatArray, FloatArray]], *, device: str
+) -> FloatArray:
+    """Rows (n, inputs) after fully connected layers with ReLU between them, (n, outputs).
+
+    Parameters
+    ----------
+    layers
+        Weight (outputs, inputs) and bias (outputs,) of each.
+    device
+        Where torch computes.
+    """
+    rows = torch.from_numpy(values).to(device)
+    for i, layer in enumerate(layers):
+        weight, bias = (torch.from_numpy(array).to(rows) for array in layer)
         rows = nn.functional.linear(rows.relu() if i else rows, weight, bias)
-    if model.unit_length:
-        rows /= rows.norm(dim=1, keepdim=True)
     return np.asarray(rows.cpu().numpy())
 
 

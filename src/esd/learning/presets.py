@@ -32,8 +32,8 @@ class Training:
         Share of the descriptors of each point that are set to zero, their mean, in each step, so
         that the embedding does not depend on a few.
     loss
-        `contrastive`, the paper's, or `infonce`, of embeddings of unit length; or `osd`, which
-        stands for a linear map in closed form, see `esd.learning.osd`.
+        `contrastive`, the paper's, or `infonce`, of embeddings of unit length; or `osd`, for
+        a linear map in closed form, see `esd.learning.osd`.
     margin, soft_label
         Of the contrastive loss: C, in squared units of the embedding, and the largest label of a
         pair that does not correspond.
@@ -56,8 +56,8 @@ class Training:
         Points of each template that are trained on; None for all.
     patches, convolutions
         Which layers, from 0, are convolutions, and over which patches.
-    look_every
-        Steps between two looks at the validation shapes, and between two checkpoints.
+    validate_every
+        Steps between two validations, and between two checkpoints.
     """
 
     recipe: Recipe
@@ -79,7 +79,7 @@ class Training:
     points: int | None = None
     patches: Patches | None = None
     convolutions: tuple[int, ...] = ()
-    look_every: int = 500
+    validate_every: int = 500
 
 
 # every seventh scale of HKS; energies of WKS that other triangles of a surface change little
@@ -129,7 +129,7 @@ PRESETS = {
         learning_rate=3e-3,
         schedule="cosine",
         steps=3000,
-        look_every=100,
+        validate_every=100,
     ),
     "acnn": Training(
         single_recipe("hks"),
@@ -140,7 +140,7 @@ PRESETS = {
         learning_rate=1e-3,
         schedule="cosine",
         steps=1500,
-        look_every=100,
+        validate_every=100,
     ),
 }
 """`oriented`, which tells left from right; the networks of the paper (sections 3.4 and 3.5); and

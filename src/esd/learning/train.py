@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 from collections.abc import Callable, Iterator
@@ -16,16 +15,20 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import torch
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save
 
-from esd.common import FloatArray, InputError, IntArray, whole_file
+from esd.common import FloatArray, InputError
 from esd.datasets.collection import Collection
 from esd.datasets.remeshing import with_remeshings
 from esd.learning.device import usable_device
-from esd.learning.losses import PairCriteria, contrastive_loss, infonce_loss, pair_criteria
+from esd.learning.losses import contrastive_loss, infonce_loss
 from esd.learning.model import Layer, Model
 from esd.learning.network import convolved, seeded_network
+from esd.learning.optimise import (
+    adam_with_moments,
+    descend,
+    load_checkpoint,
+    save_checkpoint,
+)
 from esd.learning.pairs import (
     PairBatch,
     PointTable,
@@ -38,27 +41,26 @@ from esd.learning.pairs import (
 from esd.learning.presets import Training
 from esd.spectral.cache import Cache, content_key
 
-_PATIENCE = 10  # looks without improvement after which training stops
+_PATIENCE = 10  # validations without improvement after which training stops
 _PROGRESS = ("step", "best_loss", "best_step", "curve")  # what a checkpoint keeps beside tensors
 _VALIDATION_BATCHES = 40
 _LARGEST_SEED = 2**32 - 1
-_SOFT_LABEL = 0.2  # of the paper, where criteria are measured
 _LARGE_STEP = 10**8  # multiplications in a step's products
 _LAST_RATE = 0.05  # of the learning rate, where it falls as a cosine
 
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """Where a training stands.
+    """How far a training has come.
 
     Parameters
     ----------
     step, steps
         Steps done, and to be done at the most.
     training_loss
-        Mean over the training pairs since the look before.
+        Mean over the training pairs since the last report.
     validation_loss
-        Mean over the validation pairs at the last look; None without validation shapes.
+        Mean over the validation pairs at the last validation; None without validation shapes.
     """
 
     step: int
@@ -69,10 +71,20 @@ class Progress:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _HeldOut:
-    """Batches of validation pairs, the same at each look."""
+    """Batches of validation pairs, the same at each validation."""
 
     table: PointTable
     batches: tuple[PairBatch, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Data:
+    """What a training sees: standardised descriptors, by which mean and deviation, (width,)."""
+
+    table: PointTable
+    mean: FloatArray
+    deviation: FloatArray
+    held_out: _HeldOut | None
 
 
 @dataclass(slots=True, eq=False)
@@ -104,7 +116,7 @@ def train(
     """The embedding learned from pairs of points of a collection.
 
     Equal arguments and equal numbers of threads give equal weights, also when the training was
-    interrupted and went on from its checkpoint.
+    interrupted and resumed from its checkpoint.
 
     Parameters
     ----------
@@ -115,9 +127,9 @@ def train(
         Of the model.
     validation
         Shapes of other subjects. Given these, the weights with the lowest loss on them are kept,
-        and training stops when it has not fallen for ten looks (`training.look_every`).
+        and training stops when it has not fallen at ten validations (`training.validate_every`).
     checkpoint
-        A file from which an interrupted training goes on, and which is removed at its end.
+        A file from which an interrupted training resumes, and which is removed at its end.
     device
         Where the network is trained, see `usable_device`. What is drawn at random is the same on
         all, so that they differ by rounding alone.
@@ -139,6 +151,34 @@ def train(
     place = torch.device(usable_device(device))
     if not 0 <= seed <= _LARGEST_SEED:
         raise InputError(f"`seed` must be from 0 to {_LARGEST_SEED}; got {seed}.")
+    data = _training_data(collection, validation, training, seed, cache, on_shape)
+    with _threads(training):
+        run = _start(training, seed, place)
+        path = None if checkpoint is None else Path(checkpoint)
+        _run_to_the_end(run, data, training, seed, path, on_progress)
+        return Model(
+            name=name,
+            recipe=training.recipe,
+            mean=data.mean,
+            deviation=data.deviation,
+            layers=_layers(_weights(run.network) if data.held_out is None else run.best_weights),
+            margin=training.margin if training.loss == "contrastive" else None,
+            limit=training.limit,
+            unit_length=training.loss == "infonce",
+            patches=training.patches,
+            card=_card(collection, validation, training, seed, run),
+        )
+
+
+def _training_data(
+    collection: Collection,
+    validation: Collection | None,
+    training: Training,
+    seed: int,
+    cache: Cache | None,
+    on_shape: Callable[[], None],
+) -> _Data:
+    """The standardised descriptors of all shapes, and the pairs to validate on."""
     describe = partial(
         point_table,
         recipe=training.recipe,
@@ -159,34 +199,45 @@ def train(
         held = describe(validation).standardised(mean, deviation, limit=training.limit)
         batches = (_draw(held, training, _LARGEST_SEED, i) for i in range(_VALIDATION_BATCHES))
         held_out = _HeldOut(held, tuple(batches))
+    return _Data(table, mean, deviation, held_out)
 
-    with _threads(training):
-        run = _start(training, seed, place)
-        path = Path(checkpoint) if checkpoint is not None else None
-        identity = _identity(table, held_out, training, seed)
-        if path is not None and path.exists():
-            _resume(run, path, identity)
-        while run.step < training.steps and not _is_exhausted(run, held_out, training):
-            training_loss = _advance(run, table, training, seed)
-            loss = _look(run, held_out, training) if held_out is not None else None
-            run.curve.append((run.step, training_loss, loss))
-            if path is not None:
-                _save_checkpoint(run, path, identity)
-            on_progress(Progress(run.step, training.steps, training_loss, loss))
-        if path is not None:
-            path.unlink(missing_ok=True)
-        return Model(
-            name=name,
-            recipe=training.recipe,
-            mean=mean,
-            deviation=deviation,
-            layers=_layers(run.best_weights if held_out is not None else _weights(run.network)),
-            margin=training.margin if training.loss == "contrastive" else None,
-            limit=training.limit,
-            unit_length=training.loss == "infonce",
-            patches=training.patches,
-            card=_card(collection, validation, training, seed, run),
-        )
+
+def _run_to_the_end(
+    run: _Run,
+    data: _Data,
+    training: Training,
+    seed: int,
+    checkpoint: Path | None,
+    on_progress: Callable[[Progress], None],
+) -> None:
+    """All steps from those that the checkpoint has, until the last or the validation's patience."""
+    identity = _identity(data, training, seed)
+    if checkpoint is not None and checkpoint.exists():
+        _resume(run, checkpoint, identity)
+    while run.step < training.steps and not _is_exhausted(run, data.held_out, training):
+        training_loss = _advance(run, data.table, training, seed)
+        loss = None if data.held_out is None else _validate(run, data.held_out, training)
+        run.curve.append((run.step, training_loss, loss))
+        if checkpoint is not None:
+            save_checkpoint(
+                checkpoint,
+                run.network,
+                run.optimiser,
+                identity=identity,
+                state={name: getattr(run, name) for name in _PROGRESS},
+                tensors={f"best {i}": weight for i, weight in enumerate(run.best_weights)},
+            )
+        on_progress(Progress(run.step, training.steps, training_loss, loss))
+    if checkpoint is not None:
+        checkpoint.unlink(missing_ok=True)
+
+
+def _resume(run: _Run, checkpoint: Path, identity: str) -> None:
+    """Set all that changes during a training to what a checkpoint holds."""
+    state, tensors = load_checkpoint(checkpoint, run.network, run.optimiser, identity=identity)
+    run.best_weights = [tensors[f"best {i}"] for i in range(len(run.best_weights))]
+    for name in _PROGRESS:
+        setattr(run, name, state[name])
 
 
 @contextmanager
@@ -203,42 +254,6 @@ def _threads(training: Training) -> Iterator[None]:
         torch.set_num_threads(before)
 
 
-def embedded_criteria(
-    model: Model, collection: Collection, *, batches: int = 100, cache: Cache | None = None
-) -> PairCriteria:
-    """The paper's four criteria of a model, on pairs drawn from a collection as in training.
-
-    Raises
-    ------
-    InputError
-        If the model has no margin, or no two shapes correspond.
-    """
-    if model.margin is None:
-        raise InputError(f"'{model.name}' was trained without a margin; the criteria need one.")
-    table = point_table(collection, model.recipe, patches=model.patches, cache=cache)
-    draws = [
-        draw_pairs(
-            table, np.random.default_rng((_LARGEST_SEED, i)), count=512, soft_label=_SOFT_LABEL
-        )
-        for i in range(batches)
-    ]
-    source, target = (
-        _embedded(model, table, np.concatenate(rows))
-        for rows in ([draw.source for draw in draws], [draw.target for draw in draws])
-    )
-    label = np.concatenate([draw.label for draw in draws])
-    squared = ((source - target) ** 2).sum(axis=1)
-    return pair_criteria(squared, label, margin=model.margin)
-
-
-def _embedded(model: Model, table: PointTable, rows: IntArray) -> FloatArray:
-    """Embedding of some rows of a table, (r, outputs)."""
-    if model.patches is None:
-        return model.embed(table.values[rows])
-    shapes = zip(table.shapes(), table.operators, strict=True)
-    return np.concatenate([model.embed(*each) for each in shapes])[rows]
-
-
 def _draw(table: PointTable, training: Training, seed: int, step: int) -> PairBatch:
     """The batch of a step, which has a random generator of its own."""
     generator = np.random.default_rng((seed, step))
@@ -250,28 +265,19 @@ def _draw(table: PointTable, training: Training, seed: int, step: int) -> PairBa
 def _start(training: Training, seed: int, device: torch.device) -> _Run:
     widths = [training.recipe.width, *training.hidden, training.outputs]
     network = seeded_network(widths, seed, training.patches, training.convolutions).to(device)
-    optimiser = torch.optim.Adam(network.parameters(), lr=training.learning_rate)
-    for parameter in network.parameters():  # the moments exist from the start, as in checkpoints
-        optimiser.state[parameter] = {
-            "step": torch.tensor(0.0),
-            "exp_avg": torch.zeros_like(parameter),
-            "exp_avg_sq": torch.zeros_like(parameter),
-        }
+    optimiser = adam_with_moments(network, rate=training.learning_rate)
     return _Run(network, optimiser, 0, float("inf"), 0, _weights(network), [])
 
 
 def _advance(run: _Run, table: PointTable, training: Training, seed: int) -> float:
-    """Go on to the next look, or to the last step; the mean loss of a pair on the way."""
-    stop = min(run.step + training.look_every, training.steps)
+    """Train to the next validation, or the last step; the mean loss of a pair on the way."""
+    stop = min(run.step + training.validate_every, training.steps)
     losses = []
     for step in range(run.step, stop):
-        run.optimiser.param_groups[0]["lr"] = learning_rate(training, step)
         batch = _draw(table, training, seed, step)
         dropout = torch.Generator().manual_seed(_LARGEST_SEED * step + seed)
         loss = _losses(run.network, table, batch, training, dropout=dropout)
-        run.optimiser.zero_grad()
-        loss.sum().backward()
-        run.optimiser.step()
+        descend(run.optimiser, loss.sum(), rate=learning_rate(training, step))
         losses.append(loss.detach().mean())
     run.step = stop
     return float(torch.stack(losses).double().mean())
@@ -332,8 +338,8 @@ def _dropped(
     return described * kept / (1 - training.dropout)
 
 
-def _look(run: _Run, held_out: _HeldOut, training: Training) -> float:
-    """The loss on the validation pairs; keeps the weights if they are the best so far."""
+def _validate(run: _Run, held_out: _HeldOut, training: Training) -> float:
+    """The loss on the validation pairs; the weights are noted if they are the best so far."""
     with torch.no_grad():
         losses = [
             _losses(run.network, held_out.table, batch, training) for batch in held_out.batches
@@ -347,7 +353,7 @@ def _look(run: _Run, held_out: _HeldOut, training: Training) -> float:
 
 def _is_exhausted(run: _Run, held_out: _HeldOut | None, training: Training) -> bool:
     waited = run.step - run.best_step
-    return held_out is not None and waited >= _PATIENCE * training.look_every
+    return held_out is not None and waited >= _PATIENCE * training.validate_every
 
 
 def _weights(network: torch.nn.Sequential) -> list[torch.Tensor]:
@@ -359,60 +365,19 @@ def _layers(weights: list[torch.Tensor]) -> tuple[Layer, ...]:
     return tuple(Layer(weight.cpu().numpy(), bias.cpu().numpy()) for weight, bias in pairs)
 
 
-def _identity(table: PointTable, held_out: _HeldOut | None, training: Training, seed: int) -> str:
-    """What a training depends on; a checkpoint goes on only with the same."""
-    arrays = _content(table)
-    if held_out is not None:
-        arrays += [*_content(held_out.table), *(batch.source for batch in held_out.batches)]
-    return content_key("training", *arrays, training=asdict(training), seed=seed)
+def _identity(data: _Data, training: Training, seed: int) -> str:
+    """What a training depends on; a checkpoint is resumed only by the same."""
+    arrays = _content(data.table)
+    if data.held_out is not None:
+        batches = data.held_out.batches
+        arrays += [*_content(data.held_out.table), *(batch.source for batch in batches)]
+    return content_key("training 2", *arrays, training=asdict(training), seed=seed)
 
 
 def _content(table: PointTable) -> list[npt.NDArray[Any]]:
     if table.stored is not None:
         return [np.array(table.stored.keys)]
     return [table.values, *table.rows]
-
-
-def _save_checkpoint(run: _Run, path: Path, identity: str) -> None:
-    tensors: dict[str, torch.Tensor] = {}
-    for i, parameter in enumerate(run.network.parameters()):
-        state = run.optimiser.state[parameter]
-        tensors |= {
-            f"{i}.weight": parameter.detach(),
-            f"{i}.best": run.best_weights[i],
-            f"{i}.first_moment": state["exp_avg"],
-            f"{i}.second_moment": state["exp_avg_sq"],
-        }
-    state = {name: getattr(run, name) for name in _PROGRESS}
-    metadata = {"identity": identity, "state": json.dumps(state)}
-    with whole_file(path) as temporary:
-        temporary.write_bytes(save(tensors, metadata))
-
-
-def _resume(run: _Run, path: Path, identity: str) -> None:
-    try:
-        with safe_open(path, framework="pt") as file:
-            metadata = file.metadata() or {}
-            tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
-    except (SafetensorError, OSError) as error:
-        raise InputError(f"The checkpoint '{path}' is damaged; remove it: {error}.") from error
-    if metadata.get("identity") != identity:
-        raise InputError(
-            f"The checkpoint '{path}' belongs to another training (other data, preset or seed). "
-            "Choose another output, or remove it."
-        )
-    state = json.loads(metadata["state"])
-    with torch.no_grad():
-        for i, parameter in enumerate(run.network.parameters()):
-            parameter.copy_(tensors[f"{i}.weight"])
-            run.best_weights[i] = tensors[f"{i}.best"]
-            run.optimiser.state[parameter] = {
-                "step": torch.tensor(float(state["step"])),
-                "exp_avg": tensors[f"{i}.first_moment"].to(parameter.device),
-                "exp_avg_sq": tensors[f"{i}.second_moment"].to(parameter.device),
-            }
-    for name in _PROGRESS:
-        setattr(run, name, state[name])
 
 
 def _card(

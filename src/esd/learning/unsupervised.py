@@ -6,7 +6,6 @@ used: deformed copies of each shape, landmarks, and correspondences of some of t
 
 from __future__ import annotations
 
-import json
 import logging
 import math
 import os
@@ -19,15 +18,19 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import torch
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save
 from scipy import sparse
 from scipy.sparse import csgraph
 
-from esd.common import FloatArray, InputError, whole_file
+from esd.common import FloatArray, InputError
 from esd.datasets.collection import Collection
 from esd.learning.model import Layer, Model, standardised
 from esd.learning.network import linear_layers, seeded_network
+from esd.learning.optimise import (
+    adam_with_moments,
+    descend,
+    load_checkpoint,
+    save_checkpoint,
+)
 from esd.learning.presets import Training
 from esd.learning.samples import Samples, collection_samples, moments
 from esd.learning.teacher import FIRST_SIZES, Lesson, Rows, is_reliable, lesson
@@ -230,11 +233,20 @@ def train_unsupervised(
     path = Path(checkpoint) if checkpoint is not None else None
     identity = _identity(samples, held, training, teaching, seed, start)
     if path is not None and path.exists():
-        _resume(run, path, identity)
+        state, _ = load_checkpoint(path, run.network, run.optimiser, identity=identity)
+        run.curve = [TeachingProgress(**point) for point in state["curve"]]
+        run.step = run.curve[-1].step
     while run.step < teaching.steps:
         _advance(run, samples, held, training, teaching, seed)
         if path is not None:
-            _save_checkpoint(run, path, identity)
+            save_checkpoint(
+                path,
+                run.network,
+                run.optimiser,
+                identity=identity,
+                state={"curve": [asdict(point) for point in run.curve]},
+                tensors={},
+            )
         on_progress(run.curve[-1])
     if path is not None:
         path.unlink(missing_ok=True)
@@ -321,14 +333,7 @@ def _started(training: Training, teaching: Teaching, seed: int, start: Model | N
             for layer, known in zip(linear_layers(network), start.layers, strict=True):
                 layer.weight.copy_(torch.from_numpy(known.weight))
                 layer.bias.copy_(torch.from_numpy(known.bias))
-    optimiser = torch.optim.Adam(network.parameters(), lr=teaching.learning_rate)
-    for parameter in network.parameters():  # the moments exist from the start, as in checkpoints
-        optimiser.state[parameter] = {
-            "step": torch.tensor(0.0),
-            "exp_avg": torch.zeros_like(parameter),
-            "exp_avg_sq": torch.zeros_like(parameter),
-        }
-    return _Run(network, optimiser)
+    return _Run(network, adam_with_moments(network, rate=teaching.learning_rate))
 
 
 def _advance(
@@ -348,7 +353,6 @@ def _advance(
         share = step / teaching.steps
         fall = (1 + math.cos(math.pi * share)) / 2
         rate = teaching.learning_rate * (_LAST_RATE + (1 - _LAST_RATE) * fall)
-        run.optimiser.param_groups[0]["lr"] = rate
         generator = np.random.default_rng((seed, step))
         for _ in range(_TRIES):
             source, target = generator.choice(len(samples), size=2, replace=False)
@@ -364,9 +368,7 @@ def _advance(
         for update in range(teaching.updates):
             which = generator.integers(len(recent)) if update else -1
             loss = _loss(run.network, recent[which], training, teaching, generator, dropout)
-            run.optimiser.zero_grad()
-            loss.backward()
-            run.optimiser.step()
+            descend(run.optimiser, loss, rate=rate)
             losses.append(float(loss.detach()))
     run.step = stop
     validation = None
@@ -525,43 +527,4 @@ def _identity(
     arrays += [layer.weight for layer in start.layers] if start is not None else []
     known = [sorted(each.known.items()) for each in samples]
     settings = {"training": asdict(training), "teaching": asdict(teaching), "known": known}
-    return content_key("unsupervised", *arrays, seed=seed, **settings)
-
-
-def _save_checkpoint(run: _Run, path: Path, identity: str) -> None:
-    tensors: dict[str, torch.Tensor] = {}
-    for i, parameter in enumerate(run.network.parameters()):
-        state = run.optimiser.state[parameter]
-        tensors |= {
-            f"{i}.weight": parameter.detach(),
-            f"{i}.updates": state["step"],
-            f"{i}.first_moment": state["exp_avg"],
-            f"{i}.second_moment": state["exp_avg_sq"],
-        }
-    curve = json.dumps([asdict(point) for point in run.curve])
-    with whole_file(path) as temporary:
-        temporary.write_bytes(save(tensors, {"identity": identity, "curve": curve}))
-
-
-def _resume(run: _Run, path: Path, identity: str) -> None:
-    try:
-        with safe_open(path, framework="pt") as file:
-            metadata = file.metadata() or {}
-            tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
-    except (SafetensorError, OSError) as error:
-        raise InputError(f"The checkpoint '{path}' is damaged; remove it: {error}.") from error
-    if metadata.get("identity") != identity:
-        raise InputError(
-            f"The checkpoint '{path}' belongs to another training (other data, preset or seed). "
-            "Choose another output, or remove it."
-        )
-    run.curve = [TeachingProgress(**point) for point in json.loads(metadata["curve"])]
-    run.step = run.curve[-1].step
-    with torch.no_grad():
-        for i, parameter in enumerate(run.network.parameters()):
-            parameter.copy_(tensors[f"{i}.weight"])
-            run.optimiser.state[parameter] = {
-                "step": tensors[f"{i}.updates"],
-                "exp_avg": tensors[f"{i}.first_moment"],
-                "exp_avg_sq": tensors[f"{i}.second_moment"],
-            }
+    return content_key("unsupervised 2", *arrays, seed=seed, **settings)
