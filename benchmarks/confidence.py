@@ -10,19 +10,13 @@ Then each verdict, how often it was given, and the same for its maps.
 from __future__ import annotations
 
 import argparse
-from collections import defaultdict
-from itertools import pairwise
 
-import numpy as np
+from measure import row, table
 
 from esd.datasets.open import open_collection
-from esd.evaluation.errors import geodesic_errors
+from esd.evaluation.protocol import evaluate
 from esd.learning.model import load_model
-from esd.matching.match import match
-from esd.mesh.geodesics import geodesic_diameter, geodesic_graph
 from esd.spectral.cache import default_cache
-
-EDGES = (0, 0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 1.01)
 
 
 def main() -> None:
@@ -31,39 +25,27 @@ def main() -> None:
     parser.add_argument("dataset")
     parser.add_argument("include")
     parser.add_argument("--pairs", type=int, default=20)
+    parser.add_argument("--rotate", type=int, help="seed by which shapes are rotated at random")
     options = parser.parse_args()
-    model, cache = load_model(options.model), default_cache()
     every = open_collection(options.dataset).including(options.include).pairs()
-    sure, right = [], []
-    verdicts: dict[str, list[tuple[float, float]]] = defaultdict(list)
-    for source, target in every[:: max(1, len(every) // options.pairs)][: options.pairs]:
-        mesh = target.mesh()
-        found = match(source.mesh(), mesh, model=model, cache=cache)
-        graph = geodesic_graph(mesh)
-        here, there = source.correspondence(), target.correspondence()
-        known = (here >= 0) & (there >= 0)
-        (error,) = geodesic_errors(graph, found.target_index[here[known]], (there[known],))
-        within = error <= 0.05 * geodesic_diameter(mesh, graph=graph)
-        sure.append(found.confidence[here[known]])
-        right.append(within)
-        if found.judgement:
-            verdicts[found.judgement.verdict].append(
-                (found.judgement.expected_accuracy, float(within.mean()))
-            )
-    confidence, truth = np.concatenate(sure), np.concatenate(right)
-    print("| confidence | share of the matches | mean confidence | right |\n|---|--:|--:|--:|")
-    for low, high in pairwise(EDGES):
-        some = (confidence >= low) & (confidence < high)
-        if some.any():
-            print(
-                f"| {low:g} to {min(high, 1):g} | {some.mean():.1%} | "
-                f"{confidence[some].mean():.2f} | {truth[some].mean():.2f} |"
-            )
-    print(f"| all | 100.0% | {confidence.mean():.3f} | {truth.mean():.3f} |\n")
-    print("| verdict | maps | expected | right |\n|---|--:|--:|--:|")
-    for verdict, maps in verdicts.items():
-        expected, actual = np.mean(maps, axis=0)
-        print(f"| {verdict} | {len(maps)} | {expected:.3f} | {actual:.3f} |")
+    pairs = every[:: max(1, len(every) // options.pairs)][: options.pairs]
+    result, _ = evaluate(
+        load_model(options.model), pairs, rotate=options.rotate, cache=default_cache()
+    )
+    table("confidence", "share of the matches", "mean confidence", "right")
+    for each in result.confidence_bins:
+        cells = (f"{each.share:.1%}", f"{each.confidence:.2f}", f"{each.right:.2f}")
+        row(f"{each.low:g} to {each.high:g}", *cells)
+    sums = [
+        sum(each.share * value(each) for each in result.confidence_bins)
+        for value in (lambda each: each.confidence, lambda each: each.right)
+    ]
+    row("all", "100.0%", *(f"{value:.3f}" for value in sums))
+    print()
+    table("verdict", "maps", "expected", "right", "least right")
+    for verdict, each in result.verdicts.items():
+        shares = (each.expected, each.right, each.least_right)
+        row(verdict, each.maps, *(f"{share:.3f}" for share in shares))
 
 
 if __name__ == "__main__":

@@ -3,8 +3,8 @@
     python benchmarks/robustness.py default FAUST_R 'tr_reg_06*,tr_reg_07*' -o rows.csv
 
 Each shape is mapped to its neighbour of another subject as it is, and altered in many ways, which
-`match` mends unasked; the error is measured on the neighbour, which stays as it is, at some points
-drawn at random. Rows are written as they come, and those that are there are not measured again.
+`match` repairs unasked; the error is measured on the neighbour, which stays as it is, at some
+points drawn at random. Rows are written as they come; those that are there are not measured again.
 The ratio is that of the mean error to that of the same shapes as they are.
 Needs fast-simplification, which `pip install '.[dev]'` brings.
 """
@@ -36,7 +36,7 @@ from esd.datasets.perturb import (
 )
 from esd.evaluation.errors import geodesic_errors
 from esd.learning.model import Model, load_model
-from esd.matching.features import describe
+from esd.matching.features import shape_features
 from esd.matching.match import match_features
 from esd.mesh.geodesics import geodesic_diameter, geodesic_graph
 from esd.mesh.geometry import edge_lengths, surface_area
@@ -238,15 +238,15 @@ def rows(
     whole, there = target.mesh(), target.correspondence()
     graph = geodesic_graph(whole)
     diameter, root = geodesic_diameter(whole, graph=graph), surface_area(whole) ** 0.5
-    clean = describe(repair(whole), model=model, cache=default_cache())
+    clean = shape_features(repair(whole), model=model, cache=default_cache())
     points = np.flatnonzero((source.correspondence() >= 0) & (there >= 0))
     points = np.random.default_rng(0).permutation(points)[:POINTS]
     for name in alterations:
-        rng = np.random.default_rng(int(source.name[-3:]))
+        rng = np.random.default_rng(int("".join(filter(str.isdigit, source.name))[-3:]))
         vertices, faces, index = ALTERATIONS[name](source.mesh(), rng)
-        mended = repair((vertices, faces), restore=True)
-        other = describe(mended, model=model)
-        found = match_features(other, clean, model=model, refine=None, one_to_one=False)
+        repaired = repair((vertices, faces), restore=True)
+        features = shape_features(repaired, model=model)
+        found = match_features(features, clean, model=model)
         here = index[source.correspondence()[points]]
         predicted = np.where(here >= 0, found.target_index[here], -1)
         (error,) = geodesic_errors(graph, predicted, (there[points],))
@@ -258,7 +258,7 @@ def rows(
             100 * error[matched].mean() / root,
             (error[matched] <= 0.05 * diameter).mean(),
             1 - matched.mean(),
-            mended.diagnosis.severity,
+            repaired.diagnosis.severity,
             found.judgement.verdict,
             found.judgement.expected_accuracy,
         )
