@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from esd.common import InputError
-from esd.datasets.collection import Collection, read_pairs
+from esd.datasets.collection import Collection, read_pairs, repaired_shape
 from esd.datasets.folder import folder_collection, read_vts
 from esd.datasets.splits import split_by_subject
 from esd.mesh.io.meshes import write_mesh
@@ -81,6 +81,64 @@ def test_listed_subjects_override_names(registered):
     (registered / "subjects.csv").write_text("shape\ntr_reg_000\n")
     with pytest.raises(InputError, match="columns name,subject"):
         folder_collection(registered)
+    (registered / "subjects.csv").write_text("name,subject\ntr_reg_000,\n")
+    with pytest.raises(InputError, match="line 2: expected a name and a subject"):
+        folder_collection(registered)
+    (registered / "subjects.csv").write_bytes(b"name,subject\n\xff\xfe,a\n")
+    with pytest.raises(InputError, match=r"subjects\.csv' must be a CSV file in UTF-8"):
+        folder_collection(registered)
+
+
+def test_subjects_of_shapes_that_there_are_not_are_refused(registered):
+    (registered / "subjects.csv").write_text("name,subject\ntr_reg_000.off,ann\ntr_reg_001,ann\n")
+    with pytest.raises(InputError, match=r"names 1 shapes that there are not: tr_reg_000\.off"):
+        folder_collection(registered)
+    # as spreadsheets write it, with a byte order mark
+    text = "\ufeffname,subject\ntr_reg_000,ann\n"
+    (registered / "subjects.csv").write_text(text, encoding="utf-8")
+    assert folder_collection(registered)["tr_reg_000"].subject == "ann"
+
+
+def test_vts_files_of_different_lengths_are_refused(remeshed, monkeypatch):
+    (remeshed / "corres" / "cat1.vts").write_text("3\n1\n")
+    message = r"cat1\.vts' has 2 points and '.*cat0\.vts' 3: shapes that correspond"
+    with pytest.raises(InputError, match=message):
+        folder_collection(remeshed)
+    monkeypatch.setattr("esd.datasets.folder._COMPARED", 1)  # the first
+    collection = folder_collection(remeshed)
+    with pytest.raises(InputError, match=message):
+        collection["cat1"].correspondence()
+    (remeshed / "corres" / "cat1.vts").write_text("3\n1\n0\n")
+    np.testing.assert_array_equal(collection["cat1"].correspondence(), [2, 0, -1])
+    (remeshed / "corres" / "wolf0.vts").write_text("3\n")  # of another template
+    assert len(folder_collection(remeshed).pairs()) == 2
+    (remeshed / "corres" / "cat0.sym.vts").write_text("1\n3\n")
+    with pytest.raises(InputError, match=r"cat0\.sym\.vts' has 2 points"):
+        folder_collection(remeshed)["cat0"].symmetric()
+
+
+def test_vertices_that_are_not_finite_are_left_out(registered, caplog):
+    mesh = torus(6, 5)
+    lines = (registered / "tr_reg_001.off").read_text().splitlines()
+    lines[2 + 7] = "nan 0 0"
+    (registered / "tr_reg_001.off").write_text("\n".join(lines))
+    collection = folder_collection(registered)
+    assert collection.unregistered() == ()
+    read = collection["tr_reg_001"].mesh()
+    assert "tr_reg_001.off': 1 vertices are not finite; they and their 6 faces" in caplog.text
+    assert len(read.faces) == len(mesh.faces) - 6
+    assert not (read.faces == 7).any()
+    _, index, _ = repaired_shape(collection["tr_reg_001"])
+    assert index[7] == -1
+    np.testing.assert_array_equal(np.delete(index, 7), np.delete(np.arange(30), 7))
+    (registered / "tr_reg_001.off").write_text("OFF\n3 1 0\n0 0 0\n1 0 0\n0 nan 0\n3 0 1 5\n")
+    with pytest.raises(InputError, match=r"tr_reg_001\.off': "):
+        collection["tr_reg_001"].mesh()
+
+
+def test_hidden_files_are_no_shapes(registered):
+    (registered / "._tr_reg_000.off").write_bytes(b"\0\5\x16\7")
+    assert len(folder_collection(registered).shapes) == 4
 
 
 def test_selection_and_splits(registered):
@@ -117,6 +175,9 @@ def test_pairs_files(registered, remeshed, tmp_path):
             read_pairs(file, collection)
     with pytest.raises(InputError, match="There is no file"):
         read_pairs(tmp_path / "none", collection)
+    file.write_bytes(b"cat0\t\xff\n")
+    with pytest.raises(InputError, match=r"pairs' must be a text file in UTF-8"):
+        read_pairs(file, collection)
 
 
 def test_broken_folders_are_refused(tmp_path, remeshed):

@@ -7,7 +7,6 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
-from itertools import permutations
 from pathlib import Path
 
 import numpy as np
@@ -84,11 +83,23 @@ class Collection:
         InputError
             If there is none.
         """
-        for shape in self.shapes:
-            if shape.name == name:
-                return shape
-        some = ", ".join(shape.name for shape in self.shapes[:3])
-        raise InputError(f"'{self.name}' has no shape '{name}'; it has {some}, …")
+        (shape,) = self.named([name])
+        return shape
+
+    def named(self, names: Sequence[str]) -> tuple[Shape, ...]:
+        """The shapes of some names, in their order.
+
+        Raises
+        ------
+        InputError
+            If there is none of one of them.
+        """
+        known = {shape.name: shape for shape in self.shapes}
+        for name in names:
+            if name not in known:
+                some = ", ".join(shape.name for shape in self.shapes[:3])
+                raise InputError(f"'{self.name}' has no shape '{name}'; it has {some}, …")
+        return tuple(known[name] for name in names)
 
     @property
     def subjects(self) -> tuple[str, ...]:
@@ -150,15 +161,18 @@ class Collection:
         InputError
             If there is no such pair either.
         """
-        every = [(s, t) for s, t in permutations(self.shapes, 2) if s.template == t.template]
+        alike: dict[str, list[Shape]] = {}
+        for shape in self.shapes:
+            alike.setdefault(shape.template, []).append(shape)
+        every = [(s, t) for s in self.shapes for t in alike[s.template] if t is not s]
         if not every:
             raise InputError(f"'{self.name}' has no two shapes that correspond with each other.")
         different = [(s, t) for s, t in every if s.subject != t.subject]
         return tuple(different or every)
 
 
-def mended(shape: Shape) -> tuple[Repaired, IntArray, IntArray | None]:
-    """A shape as it is matched, with all its pieces, and the vertices of the mended mesh.
+def repaired_shape(shape: Shape) -> tuple[Repaired, IntArray, IntArray | None]:
+    """A shape as it is matched, with all its pieces, and the vertices of the repaired mesh.
 
     The vertices are those of `Shape.correspondence` and `Shape.symmetric`, -1 where they could not
     be carried over.
@@ -198,8 +212,12 @@ def read_pairs(
     path = Path(path)
     if not path.is_file():
         raise InputError(f"There is no file '{path}'.")
-    pairs = []
-    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except UnicodeDecodeError as error:
+        raise InputError(f"'{path}' must be a text file in UTF-8: {error}.") from error
+    listed: list[tuple[int, str, list[str]]] = []
+    for number, line in enumerate(lines, start=1):
         if not line.strip():
             continue
         names = [name.strip() for name in line.split("\t")]
@@ -208,10 +226,12 @@ def read_pairs(
                 f"'{path}', line {number}: expected two shape names with a tab between; "
                 f"got '{line}'."
             )
-        source, target = collection[names[0]], collection[names[1]]
+        listed.append((number, line, names))
+    if not listed:
+        raise InputError(f"'{path}' lists no pair.")
+    shapes = collection.named([name for _, _, names in listed for name in names])
+    pairs = tuple(zip(shapes[::2], shapes[1::2], strict=True))
+    for (number, line, _), (source, target) in zip(listed, pairs, strict=True):
         if source.template != target.template:
             raise InputError(f"'{path}', line {number}: '{line}' do not correspond.")
-        pairs.append((source, target))
-    if not pairs:
-        raise InputError(f"'{path}' lists no pair.")
-    return tuple(pairs)
+    return pairs

@@ -6,8 +6,8 @@ import csv
 import logging
 import os
 import re
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -17,7 +17,7 @@ import numpy.typing as npt
 from esd.common import InputError, IntArray
 from esd.datasets.collection import Collection, Shape
 from esd.mesh.io.fields import Landmarks, read_landmarks
-from esd.mesh.io.meshes import FORMATS, read_mesh
+from esd.mesh.io.meshes import FORMATS, read_arrays
 from esd.mesh.mesh import Mesh
 from esd.spectral.cache import content_key
 
@@ -60,14 +60,19 @@ def folder_collection(path: str | os.PathLike[str]) -> Collection:
     if not folder.is_dir():
         raise InputError(f"There is no data set '{folder}': expected a folder of shapes.")
     shapes_folder = folder / "shapes" if (folder / "shapes").is_dir() else folder
-    files = sorted(f for f in shapes_folder.iterdir() if f.suffix.lower() in FORMATS)
+    files = sorted(
+        file
+        for file in shapes_folder.iterdir()
+        # macOS leaves a hidden '._NAME' beside each file on other systems' disks
+        if file.suffix.lower() in FORMATS and not file.name.startswith(".")
+    )
     if not files:
         raise InputError(f"There is no mesh in '{shapes_folder}' ({', '.join(FORMATS)}).")
     names = [file.stem for file in files]
     if len(set(names)) != len(names):
         twice = next(name for name in names if names.count(name) > 1)
         raise InputError(f"'{shapes_folder}' has several meshes named '{twice}'.")
-    listed = _listed_subjects(folder / "subjects.csv")
+    listed = _listed_subjects(folder / "subjects.csv", names)
     for name in ("corres", "corr"):
         if (folder / name).is_dir():
             shapes = _with_correspondences(files, folder / name, listed)
@@ -154,21 +159,36 @@ def _with_correspondences(
     files: list[Path], corres: Path, listed: Mapping[str, tuple[str, str | None]]
 ) -> list[Shape]:
     """Shapes with what a folder of `.vts` files says; those that it lacks are logged."""
-    lacking = [file.name for file in files if not (corres / f"{file.stem}.vts").is_file()]
+    lacking = {file.name for file in files if not (corres / f"{file.stem}.vts").is_file()}
     if len(lacking) == len(files):
-        raise InputError(f"The shape '{lacking[0]}' has no correspondence in '{corres}'.")
+        raise InputError(f"The shape '{files[0].name}' has no correspondence in '{corres}'.")
     if lacking:
         _log.warning(
             "%d of %d shapes have no correspondence in '%s', and correspond with no other: %s.",
             len(lacking),
             len(files),
             corres,
-            ", ".join(lacking),
+            ", ".join(sorted(lacking)),
         )
-    return [
-        _alone(file, listed) if file.name in lacking else _with_vts(file, corres, listed)
+    found = [file for file in files if file.name not in lacking]
+    templates = {file: _identity(file.stem, listed)[1] for file in found}
+    # the first shape of each template says how many points the others must have
+    lengths: dict[str, tuple[Path, int]] = {}
+    for file in found:
+        vts = corres / f"{file.stem}.vts"
+        if templates[file] not in lengths:
+            lengths[templates[file]] = vts, len(read_vts(vts))
+    shapes = [
+        _alone(file, listed)
+        if file.name in lacking
+        else _with_vts(file, corres, listed, *lengths[templates[file]])
         for file in files
     ]
+    compared = np.unique(np.linspace(0, len(found) - 1, num=_COMPARED).round().astype(int))
+    for i in compared:  # the others are checked when they are read
+        vts = corres / f"{found[i].stem}.vts"
+        _read_points(vts, *lengths[templates[found[i]]])
+    return shapes
 
 
 def _alone(file: Path, listed: Mapping[str, tuple[str, str | None]]) -> Shape:
@@ -177,13 +197,13 @@ def _alone(file: Path, listed: Mapping[str, tuple[str, str | None]]) -> Shape:
         name=file.stem,
         subject=_identity(file.stem, listed)[0],
         template=f"only {file.stem}",
-        mesh=partial(read_mesh, file),
+        mesh=partial(_read_shape, file),
         correspondence=partial(_all_vertices, file),
     )
 
 
 def _all_vertices(file: Path) -> IntArray:
-    return np.arange(len(read_mesh(file).vertices))
+    return np.arange(len(_read_shape(file).vertices))
 
 
 def _with_landmarks(shape: Shape, file: Path, folder: Path) -> Shape:
@@ -195,21 +215,46 @@ def _with_landmarks(shape: Shape, file: Path, folder: Path) -> Shape:
 
 
 def _landmarks(file: Path, landmarks: Path) -> Landmarks:
-    return read_landmarks(landmarks, read_mesh(file))
+    return read_landmarks(landmarks, _read_shape(file))
 
 
-def _with_vts(file: Path, corres: Path, listed: Mapping[str, tuple[str, str | None]]) -> Shape:
+def _read_points(vts: Path, first: Path, count: int) -> IntArray:
+    """Vertex indices in a `.vts` file, of as many points as the first of its template has."""
+    index = read_vts(vts)
+    if len(index) != count:
+        raise InputError(
+            f"'{vts}' has {len(index)} points and '{first}' {count}: shapes that correspond have "
+            "equally many lines, with 0 for a point that one lacks. Of shapes that do not, list "
+            "their templates in 'subjects.csv' (name,subject,template)."
+        )
+    return index
+
+
+def _with_vts(
+    file: Path,
+    corres: Path,
+    listed: Mapping[str, tuple[str, str | None]],
+    first: Path,
+    count: int,
+) -> Shape:
+    """A shape with the correspondence in its `.vts` file.
+
+    Parameters
+    ----------
+    first, count
+        A `.vts` file of the same template, and how many points it has.
+    """
     vts = corres / f"{file.stem}.vts"
     mirrored = corres / f"{file.stem}.sym.vts"
     subject, template = _identity(file.stem, listed)
-    points = partial(read_vts, vts)
+    points = partial(_read_points, vts, first, count)
     return Shape(
         name=file.stem,
         subject=subject,
         template=template,
-        mesh=partial(read_mesh, file),
+        mesh=partial(_read_shape, file),
         correspondence=points,
-        symmetric=partial(read_vts, mirrored) if mirrored.is_file() else None,
+        symmetric=partial(_read_points, mirrored, first, count) if mirrored.is_file() else None,
         parts=_parts(corres.parent, file.stem, points),
     )
 
@@ -219,14 +264,14 @@ def _without_correspondences(
 ) -> list[Shape]:
     """Shapes of one connectivity, or such that correspond with no other."""
     place, first = _first_readable(files)
-    connectivity = _connectivity(first)
+    connectivity = first.connectivity
     compared = np.unique(np.linspace(0, len(files) - 1, num=_COMPARED).round().astype(int))[1:]
     if not all(_has_connectivity(files[i], connectivity) for i in compared[::-1]):
         return [_alone(file, listed) for file in files]
     shapes = []
     for file in files:
         subject, template = _identity(file.stem, listed)
-        everywhere = partial(np.arange, len(first.vertices))
+        everywhere = partial(np.arange, len(first.mesh.vertices))
         parts = _parts(folder, file.stem, everywhere)
         shapes.append(
             Shape(
@@ -241,40 +286,70 @@ def _without_correspondences(
     return shapes
 
 
-def _first_readable(files: list[Path]) -> tuple[int, Mesh]:
-    """The place of the first mesh that can be read, and the mesh."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _Read:
+    """A mesh, and a key of the connectivity that its file has."""
+
+    mesh: Mesh
+    connectivity: str
+
+
+def _read(file: Path) -> _Read:
+    """The mesh in a file, without the faces at vertices that are not finite."""
+    vertices, faces = read_arrays(file)
+    finite = np.isfinite(vertices).all(axis=1)
+    try:
+        mesh = Mesh(np.where(finite[:, None], vertices, 0.0), faces)
+    except InputError as error:
+        raise InputError(f"'{file}': {error}") from error
+    key = content_key("connectivity", mesh.faces, vertices=len(mesh.vertices))
+    if not finite.all():
+        middle = vertices[finite].mean(axis=0) if finite.any() else np.zeros(3)
+        used = finite[mesh.faces].all(axis=1)
+        _log.warning(
+            "'%s': %d vertices are not finite; they and their %d faces are left out.",
+            file,
+            np.sum(~finite),
+            np.sum(~used),
+        )
+        mesh = Mesh(np.where(finite[:, None], vertices, middle), mesh.faces[used])
+    return _Read(mesh, key)
+
+
+def _read_shape(file: Path) -> Mesh:
+    return _read(file).mesh
+
+
+def _first_readable(files: list[Path]) -> tuple[int, _Read]:
+    """The place of the first mesh that can be read, and what was read."""
     for place, file in enumerate(files[:-1]):
-        if mesh := _readable(file):
-            return place, mesh
-    return len(files) - 1, read_mesh(files[-1])
+        if found := _readable(file):
+            return place, found
+    return len(files) - 1, _read(files[-1])
 
 
 def _has_connectivity(file: Path, connectivity: str) -> bool:
     """Whether a mesh has a connectivity; one that cannot be read is reported when it is used."""
-    mesh = _readable(file)
-    return mesh is None or _connectivity(mesh) == connectivity
+    found = _readable(file)
+    return found is None or found.connectivity == connectivity
 
 
-def _readable(file: Path) -> Mesh | None:
+def _readable(file: Path) -> _Read | None:
     try:
-        return read_mesh(file)
+        return _read(file)
     except InputError:
         return None
 
 
 def _read_alike(file: Path, first: str, connectivity: str) -> Mesh:
     """The mesh in a file, if it has the connectivity of the first one."""
-    mesh = read_mesh(file)
-    if _connectivity(mesh) != connectivity:
+    found = _read(file)
+    if found.connectivity != connectivity:
         raise InputError(
             f"'{file.name}' has another connectivity than '{first}', unlike most in its folder: "
             "remove it, or put correspondences of all into 'corres/NAME.vts'."
         )
-    return mesh
-
-
-def _connectivity(mesh: Mesh) -> str:
-    return content_key("connectivity", mesh.faces, vertices=len(mesh.vertices))
+    return found.mesh
 
 
 def _identity(name: str, listed: Mapping[str, tuple[str, str | None]]) -> tuple[str, str]:
@@ -292,11 +367,30 @@ def _identity(name: str, listed: Mapping[str, tuple[str, str | None]]) -> tuple[
     return name, "template"
 
 
-def _listed_subjects(path: Path) -> dict[str, tuple[str, str | None]]:
+def _listed_subjects(path: Path, names: Sequence[str]) -> dict[str, tuple[str, str | None]]:
+    """Subject and template, if any, of the shapes in a file, which must be among those there are.
+
+    A name that is misspelled would leave its shape with a subject of its own, and so the shapes of
+    one subject on both sides of a split.
+    """
     if not path.is_file():
         return {}
-    with path.open(newline="", encoding="utf-8") as file:
-        rows = csv.DictReader(file)
-        if not {"name", "subject"} <= set(rows.fieldnames or ()):
-            raise InputError(f"'{path}' must have the columns name,subject (and template).")
-        return {row["name"]: (row["subject"], row.get("template")) for row in rows}
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            rows = csv.DictReader(file)
+            columns, listed = rows.fieldnames or (), list(rows)
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"'{path}' must be a CSV file in UTF-8: {error}.") from error
+    if not {"name", "subject"} <= set(columns):
+        raise InputError(f"'{path}' must have the columns name,subject (and template).")
+    for number, row in enumerate(listed, start=2):
+        if not row["name"] or not row["subject"]:
+            raise InputError(f"'{path}', line {number}: expected a name and a subject.")
+    unknown = sorted({row["name"] for row in listed} - set(names))
+    if unknown:
+        some = ", ".join(unknown[:5]) + (", …" if len(unknown) > 5 else "")
+        raise InputError(
+            f"'{path}' names {len(unknown)} shapes that there are not: {some}. Names are those of "
+            f"the files without suffix, such as '{names[0]}'."
+        )
+    return {row["name"]: (row["subject"], row.get("template")) for row in listed}

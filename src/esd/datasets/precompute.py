@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from esd.common import InputError, IntArray, whole_file
-from esd.datasets.collection import Collection, Shape, mended
+from esd.datasets.collection import Collection, Shape, repaired_shape
 from esd.datasets.remeshing import with_remeshings
 from esd.datasets.store import Store, StoredShape, open_store, save_store
 from esd.descriptors.recipe import Recipe, descriptors
@@ -166,7 +166,7 @@ def _check_same(store: Store, collection: Collection, recipe: Recipe, remeshings
 def _described(job: _Job, *, recipe: Recipe, parts: Path) -> _Described:
     """Compute the part of a shape, unless it is there."""
     shape = job.shape
-    repaired, index, _ = mended(shape)
+    repaired, index, _ = repaired_shape(shape)
     mesh = repaired.shape
     assert isinstance(mesh, Mesh)
     key = content_key(

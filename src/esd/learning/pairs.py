@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from esd.common import FloatArray, InputError, IntArray
-from esd.datasets.collection import Collection, mended
+from esd.datasets.collection import Collection, repaired_shape
 from esd.datasets.remeshing import copy_name
 from esd.datasets.store import open_store
 from esd.descriptors.recipe import Recipe, descriptors
@@ -181,7 +181,7 @@ def point_table(
         raise InputError(f"'{collection.store}' is a store; see `stored_table`.")
     values, rows, operators, start = [], [], [], 0
     for shape in collection.shapes:
-        repaired, index, _ = mended(shape)
+        repaired, index, _ = repaired_shape(shape)
         mesh = repaired.shape
         assert isinstance(mesh, Mesh)
         try:

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from esd.common import FloatArray, InputError, IntArray
-from esd.datasets.collection import Collection, Shape, mended
+from esd.datasets.collection import Collection, Shape, repaired_shape
 from esd.datasets.deformation import deformed
 from esd.descriptors.recipe import Recipe, recipe_spectrum, spectrum_descriptors
 from esd.mesh.geodesics import geodesic_graph
@@ -109,7 +109,7 @@ def shape_samples(
     InputError
         If the shape cannot be read or described.
     """
-    repaired, template_points, _ = mended(shape)
+    repaired, template_points, _ = repaired_shape(shape)
     if not isinstance(repaired.shape, Mesh):
         raise InputError("it has no faces, which the descriptors need")
     mesh = turned_outward(repaired.shape)
