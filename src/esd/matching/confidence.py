@@ -24,7 +24,9 @@ Verdict: TypeAlias = Literal["good", "doubtful", "failed", "mirrored"]
 
 _OFFSET = 0.01  # added to lengths over √area before the logarithm; about half of an edge
 _LOGISTIC = (-5.33, -1.47, -0.82)  # constant, and factors of the two logarithms of `evidence`
-_GOOD, _FAILED = 0.9, 0.6  # expected shares of vertices within 5 % of the diameter
+_JUDGED = (-1.648, -0.336, -0.241, 1.028)  # the same, and the factor of the logit of the accuracy
+_ORIENTED = 0.3  # orientation that a map needs to be good; of mirrored ones below the negative
+_GOOD, _FAILED = 0.9, 0.5  # expected shares of vertices within 5 % of the diameter
 
 ADVICE = {
     "good": "",
@@ -111,18 +113,32 @@ def evidence(
 
 
 def confidence(
-    source: Mesh, target: Mesh, target_index: IntArray, source_index: IntArray
+    source: Mesh,
+    target: Mesh,
+    target_index: IntArray,
+    source_index: IntArray,
+    *,
+    accuracy: float | None = None,
 ) -> FloatArray:
     """Probability, (n,), that each match is within 5 % of the target's diameter of the truth.
 
     A logistic function of the logarithms of the `evidence`, fitted to refined maps of models that
     tell left from right, between people and between animals that they were not trained on. Zero
     where there is no match.
+
+    Parameters
+    ----------
+    accuracy
+        Of the map as a whole, as the judge of candidates expects it, see `esd.matching.judge`:
+        smooth maps that return there and back may be wrong all the same.
     """
-    constant, *factors = _LOGISTIC
+    constant, *factors = _LOGISTIC if accuracy is None else _JUDGED[:3]
     logit = constant + np.log(
         evidence(source, target, target_index, source_index) + _OFFSET
     ) @ np.array(factors)
+    if accuracy is not None:
+        bounded = min(max(accuracy, 0.02), 0.995)
+        logit = logit + _JUDGED[3] * np.log(bounded / (1 - bounded))
     return np.where(target_index >= 0, np.nan_to_num(1 / (1 + np.exp(-logit))), 0.0)
 
 
@@ -162,11 +178,11 @@ def judgement(
     counted = is_referenced(source) if counted is None else counted
     accuracy = float(values[counted].mean())
     side = orientation(source, target, target_index) * (-1 if turned_over else 1)
-    if side < 0 and accuracy >= _FAILED:
+    if side < -_ORIENTED and accuracy >= _FAILED:
         return Judgement("mirrored", accuracy, side)
-    verdict: Verdict = (
-        "good" if accuracy >= _GOOD else "doubtful" if accuracy >= _FAILED else "failed"
-    )
+    verdict: Verdict = "failed"
+    if accuracy >= _FAILED:
+        verdict = "good" if accuracy >= _GOOD and side > _ORIENTED else "doubtful"
     return Judgement(verdict, accuracy, side)
 
 

@@ -224,6 +224,7 @@ def match_repaired(
     refine = model.is_oriented if refine is None else refine
     is_mesh = isinstance(source.shape, Mesh) and isinstance(target.shape, Mesh)
     costs: dict[str, float] = {}
+    expected: float | None = None
     contradicted: tuple[int, ...] = ()
     is_mirrored = False
     if is_mesh and (refine or candidates or landmarks is not None or mirror == "yes"):
@@ -235,6 +236,7 @@ def match_repaired(
         )
         if is_mirrored:
             source = reflected(source, model=model)
+        expected = accuracy(choice.evidence)
         costs, contradicted = choice.costs, tuple(used[choice.contradicted].tolist())
         maps = _full_maps(source, target, choice.candidate, refine=refine, device=model.device)
     elif landmarks is not None or mirror == "yes":
@@ -245,7 +247,7 @@ def match_repaired(
     rows = maps.rows() if one_to_one or is_copy else (source.embedded, target.embedded)
     index = assignment(*rows) if one_to_one else maps.index
     found = with_similarity(source.embedded, target.embedded, index, margin=model.margin)
-    found = _judged(found, maps.back, source, target)
+    found = _judged(found, maps.back, source, target, expected)
     if found.judgement is not None:
         found = replace(
             found,
@@ -353,11 +355,12 @@ def _judged(
     back: IntArray,
     source: Features,
     target: Features,
+    expected: float | None,
 ) -> Correspondence:
     """The map with its confidence and a judgement; points without faces give no evidence."""
     if isinstance(source.shape, PointCloud) or isinstance(target.shape, PointCloud):
         return match
-    values = confidence(source.shape, target.shape, match.target_index, back)
+    values = confidence(source.shape, target.shape, match.target_index, back, accuracy=expected)
     counted = None
     if source.copy is None and target.copy is None:
         counted = is_referenced(source.shape) & ~source.is_filling()
