@@ -94,7 +94,7 @@ def train(
         chosen = chosen.excluding_subjects(held.subjects)
     elif hold_out:
         chosen, held = split_by_subject(chosen, held_out=hold_out, seed=seed)
-    unregistered = chosen.unregistered()
+    unregistered = () if chosen.store else chosen.unregistered()
     if unregistered and training.loss == "infonce":
         if device != "cpu":
             raise typer.BadParameter("Learning without correspondences runs on the CPU only.")

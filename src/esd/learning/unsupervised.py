@@ -225,7 +225,9 @@ def train_unsupervised(
     mean, deviation = moments(samples) if start is None else (start.mean, start.deviation)
     held: tuple[Samples, ...] = ()
     if validation is not None:
-        held = describe(validation, copies=0, seed=seed).samples
+        described = describe(validation, copies=0, seed=seed)
+        held = described.samples
+        left_out |= described.failures
     for each in (*samples, *held):
         _standardise(each, mean, deviation, limit=training.limit)
 
