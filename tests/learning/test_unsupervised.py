@@ -12,7 +12,7 @@ from esd.learning.model import load_model, save_model
 from esd.learning.presets import Training, preset
 from esd.learning.samples import collection_samples, moments, shape_samples
 from esd.mesh.geometry import surface_area
-from esd.mesh.io.fields import Landmarks
+from esd.mesh.io.landmarks import Landmarks
 from esd.mesh.mesh import Mesh
 from esd.mesh.shapes import icosphere, torus
 from esd.nearest import nearest

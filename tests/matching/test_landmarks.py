@@ -9,7 +9,7 @@ from esd.matching.landmarks import (
     read_landmark_pairs,
 )
 from esd.matching.match import match
-from esd.mesh.io.fields import Landmarks
+from esd.mesh.io.landmarks import Landmarks
 from esd.mesh.mesh import Mesh
 from esd.mesh.shapes import grid
 

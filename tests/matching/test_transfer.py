@@ -137,7 +137,7 @@ def test_texture_goes_on_across_a_seam():
 
 def test_landmarks_go_where_the_map_says():
     match = exact([5, -1, 2])
-    np.testing.assert_array_equal(carried_landmarks([2, 1, 0], match), [2, -1, 5])
+    np.testing.assert_array_equal(carried_landmarks([2, 1, 0, -1], match), [2, -1, 5, -1])
     with pytest.raises(InputError, match="from 0 to 2; got 0 to 3"):
         carried_landmarks([0, 3], match)
 

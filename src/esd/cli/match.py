@@ -179,7 +179,7 @@ def _landmark_pairs(
 
     if len(files) == 1:
         return read_landmark_pairs(files[0])
-    from esd.mesh.io.fields import read_landmarks
+    from esd.mesh.io.landmarks import read_landmarks
     from esd.mesh.repair.repair import usable_part
 
     read = [

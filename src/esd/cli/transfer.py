@@ -105,7 +105,7 @@ def _transfer_landmarks(
     from dataclasses import replace
 
     from esd.matching.transfer import carried_landmarks
-    from esd.mesh.io.fields import read_landmarks, write_landmarks
+    from esd.mesh.io.landmarks import read_landmarks, write_landmarks
 
     landmarks = read_landmarks(file, meshes[0])
     carried = replace(landmarks, vertices=carried_landmarks(landmarks.vertices, match))

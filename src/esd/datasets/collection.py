@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from esd.common import InputError, IntArray
-from esd.mesh.io.fields import Landmarks
+from esd.mesh.io.landmarks import Landmarks
 from esd.mesh.mesh import Mesh
 from esd.mesh.repair.repair import Repaired, repair
 

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from esd.common import InputError, IntArray
 from esd.datasets.collection import Collection, Shape
-from esd.mesh.io.fields import Landmarks, read_landmarks
+from esd.mesh.io.landmarks import Landmarks, read_landmarks
 from esd.mesh.io.meshes import FORMATS, read_arrays
 from esd.mesh.mesh import Mesh
 from esd.spectral.cache import content_key
@@ -49,7 +49,8 @@ def folder_collection(path: str | os.PathLike[str]) -> Collection:
     `parts/names.txt` may hold the names of the parts of the body, and `parts/NAME.txt`, for one or
     more of the shapes, the number, from 0, of the part of each vertex, one a line.
 
-    `landmarks/NAME.csv` may hold the landmarks of a shape, see `esd.mesh.io.fields.read_landmarks`.
+    `landmarks/NAME.csv` may hold the landmarks of a shape, see
+    `esd.mesh.io.landmarks.read_landmarks`.
 
     Raises
     ------

@@ -20,7 +20,7 @@ from esd.matching.candidates import (
 from esd.matching.extrinsic import aligned, deformed
 from esd.mesh.geodesics import geodesic_graph
 from esd.mesh.geometry import surface_area
-from esd.mesh.io.fields import Landmarks
+from esd.mesh.io.landmarks import Landmarks
 from esd.mesh.mesh import Mesh
 from esd.nearest import nearest
 

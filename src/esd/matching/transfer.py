@@ -151,7 +151,7 @@ def carried_texture(
 
 
 def carried_landmarks(vertices: IntArray, match: Correspondence) -> IntArray:
-    """Target vertices, (l,), of some source vertices; -1 for none.
+    """Target vertices, (l,), of some source vertices, of which -1 is none; -1 for none.
 
     Raises
     ------
@@ -160,12 +160,12 @@ def carried_landmarks(vertices: IntArray, match: Correspondence) -> IntArray:
     """
     vertices = np.asarray(vertices)
     count = len(match.target_index)
-    if len(vertices) and not (vertices.min() >= 0 and vertices.max() < count):
+    if len(vertices) and not (vertices.min() >= -1 and vertices.max() < count):
         raise InputError(
             f"Landmarks must be vertices from 0 to {count - 1}; "
             f"got {vertices.min()} to {vertices.max()}."
         )
-    return match.target_index[vertices]
+    return np.where(vertices < 0, -1, match.target_index[vertices])
 
 
 def aligned_image(source: Mesh, target: Mesh, match: Correspondence) -> FloatArray:

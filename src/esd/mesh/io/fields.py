@@ -1,38 +1,18 @@
-"""Files of what is known at the vertices or faces of a mesh: labels, values, landmarks."""
+"""Files of what is known at the vertices or faces of a mesh: labels and values."""
 
 from __future__ import annotations
 
-import csv
 import io
 import os
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import KDTree
 
 from esd.common import FloatArray, InputError, IntArray, whole_file
-from esd.mesh.mesh import Mesh
 
 _SUFFIXES = (".npy", ".csv", ".txt")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Landmarks:
-    """Named vertices of a mesh.
-
-    Parameters
-    ----------
-    names
-        One for each landmark.
-    vertices : (l,) int64
-        From 0; -1 for none.
-    """
-
-    names: tuple[str, ...]
-    vertices: IntArray
 
 
 def check_field_path(path: str | os.PathLike[str]) -> Path:
@@ -130,59 +110,6 @@ def write_values(values: FloatArray, path: str | os.PathLike[str]) -> None:
         return
     with whole_file(path) as temporary:
         np.savetxt(temporary, values, delimiter=",", fmt="%.9g")
-
-
-def read_landmarks(path: str | os.PathLike[str], mesh: Mesh) -> Landmarks:
-    """Landmarks of a mesh in a `.csv` file.
-
-    Its columns are `name` and `vertex`, from 0, or `name`, `x`, `y` and `z`: then the nearest
-    vertex is taken.
-
-    Raises
-    ------
-    InputError
-        If there is no such file, it has other columns, or a landmark is no vertex of the mesh.
-    """
-    path = _existing(path)
-    rows = list(csv.DictReader(io.StringIO(_text(path))))
-    columns = set(rows[0]) if rows else set()
-    if not ({"name", "vertex"} <= columns or {"name", "x", "y", "z"} <= columns):
-        raise InputError(f"'{path}' must have the columns name,vertex or name,x,y,z.")
-    try:
-        if "vertex" in columns:
-            vertices = np.array([int(row["vertex"]) for row in rows])
-        else:
-            points = np.array([[float(row[axis]) for axis in "xyz"] for row in rows])
-            vertices = KDTree(mesh.vertices).query(points)[1]
-    except (TypeError, ValueError) as error:
-        raise InputError(f"'{path}' holds a landmark that is no number: {error}.") from error
-    if vertices.min() < 0 or vertices.max() >= len(mesh.vertices):
-        raise InputError(
-            f"'{path}' names vertices from {vertices.min()} to {vertices.max()}; "
-            f"the mesh has those from 0 to {len(mesh.vertices) - 1}."
-        )
-    return Landmarks(tuple(row["name"] for row in rows), vertices)
-
-
-def write_landmarks(landmarks: Landmarks, mesh: Mesh, path: str | os.PathLike[str]) -> None:
-    """Write landmarks with the columns `name,vertex,x,y,z`; empty coordinates where none is.
-
-    Raises
-    ------
-    InputError
-        If the name does not end in .csv, or the file cannot be written.
-    """
-    path = Path(path)
-    if path.suffix.lower() != ".csv":
-        raise InputError(f"'{path}': landmarks are written to .csv.")
-    content = io.StringIO()
-    table = csv.writer(content, lineterminator="\n")
-    table.writerow(("name", "vertex", "x", "y", "z"))
-    for name, vertex in zip(landmarks.names, landmarks.vertices.tolist(), strict=True):
-        place = mesh.vertices[vertex].tolist() if vertex >= 0 else ("", "", "")
-        table.writerow((name, vertex, *place))
-    with whole_file(path) as temporary:
-        temporary.write_text(content.getvalue(), encoding="utf-8")
 
 
 def _existing(path: str | os.PathLike[str]) -> Path:

@@ -3,15 +3,11 @@ import pytest
 
 from esd.common import InputError
 from esd.mesh.io.fields import (
-    Landmarks,
     read_labels,
-    read_landmarks,
     read_values,
     write_labels,
-    write_landmarks,
     write_values,
 )
-from esd.mesh.shapes import grid
 
 
 @pytest.mark.parametrize("suffix", ["npy", "txt"])
@@ -35,20 +31,6 @@ def test_labels_may_be_words(tmp_path):
     assert path.read_text().splitlines() == ["head", "left arm", "none"]
 
 
-def test_landmarks_come_back_and_points_go_to_the_nearest_vertex(tmp_path):
-    mesh = grid(4, 3)
-    path = tmp_path / "l.csv"
-    write_landmarks(Landmarks(("nose", "ear"), np.array([5, -1])), mesh, path)
-    assert path.read_text().splitlines()[2] == "ear,-1,,,"
-    path.write_text("name,vertex\nnose,5\near,0\n")
-    landmarks = read_landmarks(path, mesh)
-    assert landmarks.names == ("nose", "ear")
-    np.testing.assert_array_equal(landmarks.vertices, [5, 0])
-    x, y, z = mesh.vertices[7] + 0.01
-    path.write_text(f"name,x,y,z\nnose,{x},{y},{z}\n")
-    np.testing.assert_array_equal(read_landmarks(path, mesh).vertices, [7])
-
-
 @pytest.mark.parametrize(
     ("read", "name", "content", "message"),
     [
@@ -59,9 +41,6 @@ def test_landmarks_come_back_and_points_go_to_the_nearest_vertex(tmp_path):
         (read_values, "f.txt", b" \n", "is empty"),
         (read_values, "f.txt", b"1\nabc\n", "must hold numbers"),
         (read_values, "no.txt", None, "There is no file"),
-        (lambda p: read_landmarks(p, grid(3, 3)), "f.csv", b"a,b\n1,2\n", "name,vertex or name,x"),
-        (lambda p: read_landmarks(p, grid(3, 3)), "f.csv", b"name,vertex\nx,y\n", "no number"),
-        (lambda p: read_landmarks(p, grid(3, 3)), "f.csv", b"name,vertex\nx,9\n", "from 0 to 8"),
     ],
 )
 def test_bad_files_are_refused(tmp_path, read, name, content, message):
@@ -79,5 +58,3 @@ def test_arrays_of_other_kinds_are_refused(tmp_path):
     np.save(tmp_path / "f.npy", np.array(["a"]))
     with pytest.raises(InputError, match="must hold numbers"):
         read_values(tmp_path / "f.npy")
-    with pytest.raises(InputError, match=r"written to .csv"):
-        write_landmarks(Landmarks((), np.zeros(0, dtype=int)), grid(3, 3), tmp_path / "l.txt")
