@@ -148,6 +148,10 @@ def test_copies_with_other_triangles_are_described_too(collection, tmp_path):
 
 
 def test_stores_of_something_else_are_refused(collection, tmp_path):
+    (tmp_path / "data.hdf5").write_bytes(b"the user's own")
+    with pytest.raises(InputError, match="is no store of descriptors and is not replaced"):
+        precompute(collection, RECIPE, tmp_path / "data.hdf5", renew=True)
+    assert (tmp_path / "data.hdf5").read_bytes() == b"the user's own"
     path = tmp_path / "s.h5"
     precompute(collection, RECIPE, path, workers=Workers(1))
     with pytest.raises(InputError, match="of another recipe"):

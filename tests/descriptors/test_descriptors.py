@@ -8,7 +8,7 @@ from esd.common import InputError
 from esd.descriptors.geometry import cubic_spline, geometry_vector
 from esd.descriptors.gps import gps
 from esd.descriptors.hks import heat_times, hks
-from esd.descriptors.recipe import Descriptor, Recipe, descriptors, single_recipe
+from esd.descriptors.recipe import Descriptor, Recipe, descriptors, gradient_recipe, single_recipe
 from esd.descriptors.sihks import sihks
 from esd.descriptors.wks import wave_energies, wks
 from esd.mesh.mesh import Mesh
@@ -122,6 +122,18 @@ def test_impossible_descriptors_are_refused(shape_spectrum):
         wks(shape_spectrum, count=1)
     with pytest.raises(InputError, match="1 to 47 frequencies"):
         sihks(shape_spectrum, count=48)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"of": "x"}, {"columns": [100]}, {"columns": 3}, {"reach": 0}, {"times": [-1.0]}, {"more": 1}],
+)
+def test_impossible_gradient_products_are_refused(wrong):
+    part = gradient_recipe("chirality", "hks", columns=range(4), reach=2, times=(1e-3,))
+    with pytest.raises(InputError, match="needs the options of"):
+        replace(part, options={**part.options, **wrong})
+    with pytest.raises(InputError, match="has 5 components; its `count` is 7"):
+        replace(part, count=7)
 
 
 def test_splines_add_up_to_one_between_their_ends():

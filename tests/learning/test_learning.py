@@ -1,4 +1,5 @@
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -345,6 +346,57 @@ def test_damaged_models_are_refused(model, tmp_path):
     save_model(replace(model, mean=np.full(25, np.nan)), tmp_path / "nan")
     with pytest.raises(InputError, match="not all finite"):
         load_model(tmp_path / "nan")
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "message"),
+    [
+        (["layers"], [], "`layers` must list the neurons"),
+        (["layers"], "25", "`layers` must list the neurons"),
+        (["layers"], [25.0, 15], "`layers` must list the neurons"),
+        (["layers"], [25], "`layers` has 0 of them, and 'model.safetensors' others"),
+        (["layers"], [25, 15, 3], "lacks 'layer1.weight'"),
+        (["margin"], "abc", "`margin` must be a positive number or null; got 'abc'"),
+        (["margin"], True, "`margin` must be a positive number"),
+        (["limit"], -8, "`limit` must be a positive number or null; got -8"),
+        (["limit"], float("nan"), "`limit` must be a positive number"),
+        (["unit_length"], "yes", "`unit_length` must be true or false"),
+        (["card"], "x", "`card` must be an object"),
+        (["recipe"], None, "`recipe` must be an object"),
+        (["recipe", "eigenpairs"], "300", "needs `eigenpairs`, one or more"),
+        (["recipe", "unit_area"], 1, "needs `eigenpairs`, one or more, and `unit_area`"),
+        (["recipe", "laplacian"], "umbrella", "no Laplacian 'umbrella'; expected one of cotangent"),
+        (["recipe", "descriptors"], [], "needs one descriptor or more"),
+        (["recipe", "descriptors"], "hks", "`descriptors` must be a list"),
+        (["recipe", "descriptors", 0], "hks", "no descriptor recipe"),
+        (["recipe", "descriptors", 0, "kind"], 3, "no descriptor '3'"),
+        (["recipe", "descriptors", 0, "count"], "100", "needs a `count` of one or more"),
+        (["recipe", "descriptors", 0, "log"], 0, "and `log` true or false"),
+        (["recipe", "descriptors", 0, "options"], [1], "options of 'gps' must have names"),
+        (["recipe", "descriptors", 0, "options"], {"variant": 1}, "'gps' has these options: none"),
+        (["patches"], "geodesic", "Patches must be an object"),
+        (["patches"], {"kind": "hexagonal"}, "no patches of a surface"),
+        (["patches"], {"kind": "geodesic", "rays": 0}, "Geodesic patches need rings and rays"),
+        (["patches"], {"kind": "anisotropic", "longest": -1}, "Anisotropic patches need times"),
+    ],
+)
+def test_wrong_values_in_configurations_are_refused(model, tmp_path, place, value, message):
+    save_model(model, tmp_path / "m")
+    file = tmp_path / "m" / "config.json"
+    config = part = json.loads(file.read_text())
+    for key in place[:-1]:
+        part = part[key]
+    part[place[-1]] = value
+    file.write_text(json.dumps(config))
+    with pytest.raises(InputError, match=re.escape(message)) as raised:
+        load_model(tmp_path / "m")
+    assert str(tmp_path / "m") in str(raised.value)
+
+
+def test_deviations_of_zero_are_refused(model, tmp_path):
+    save_model(replace(model, deviation=np.zeros(25)), tmp_path / "m")
+    with pytest.raises(InputError, match=r"deviations of .* must be positive"):
+        load_model(tmp_path / "m")
 
 
 def test_models_replace_nothing_but_models(model, tmp_path):

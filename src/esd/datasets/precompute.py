@@ -15,7 +15,7 @@ import numpy.typing as npt
 from esd.common import InputError, IntArray, whole_file
 from esd.datasets.collection import Collection, Shape, repaired_shape
 from esd.datasets.remeshing import with_remeshings
-from esd.datasets.store import Store, StoredShape, open_store, save_store
+from esd.datasets.store import Store, StoredShape, is_store, open_store, save_store
 from esd.descriptors.recipe import Recipe, descriptors
 from esd.mesh.mesh import Mesh
 from esd.parallel import EVERY_CORE, Workers, outcomes
@@ -97,6 +97,8 @@ def precompute(
         If the store is of another recipe or collection, or cannot be written.
     """
     path = Path(path).resolve()
+    if path.exists() and not is_store(path):
+        raise InputError(f"'{path}' is no store of descriptors and is not replaced; remove it.")
     old = open_store(path) if path.exists() and not renew else None
     if old is not None:
         _check_same(old, collection, recipe, remeshings)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
-from esd.common import FloatArray, InputError
+from esd.common import FloatArray, InputError, is_count, is_positive
 from esd.descriptors.chirality import Parity, gradient_products, neighbour_pairs
 from esd.descriptors.geometry import geometry_vector
 from esd.descriptors.gps import gps
@@ -25,6 +25,9 @@ from esd.spectral.spectrum import Spectrum, spectrum
 _DESCRIPTORS = {"gps": gps, "hks": hks, "wks": wks, "sihks": sihks, "geometry": geometry_vector}
 _PRODUCTS: dict[str, Parity] = {"chirality": "odd", "alignment": "even"}
 _WIDTHS = {"gps": 25, "hks": 100, "wks": 100, "sihks": 19, "geometry": 150}
+
+_OPTIONS = {"sihks": {"time_unit"}, "geometry": {"largest"}}
+_PRODUCT_OPTIONS = {"of", "columns", "reach", "times"}
 
 DESCRIPTOR_KINDS = tuple(_DESCRIPTORS)
 """Names of the descriptors that have a value at each vertex and stand for themselves."""
@@ -61,6 +64,50 @@ class Descriptor:
             raise InputError(f"There is no descriptor '{self.kind}'; expected one of {known}.")
         if self.log and self.kind in ("gps", *_PRODUCTS):
             raise InputError(f"'{self.kind}' has negative components: it has no logarithm.")
+        if not is_count(self.count) or not isinstance(self.log, bool):
+            raise InputError(
+                f"'{self.kind}' needs a `count` of one or more, and `log` true or false; got "
+                f"{self.count!r} and {self.log!r}."
+            )
+        if not isinstance(self.options, Mapping):
+            raise InputError(f"The options of '{self.kind}' must have names; got {self.options!r}.")
+        if self.kind in _PRODUCTS:
+            self._check_product()
+        elif not set(self.options) <= _OPTIONS.get(self.kind, set()) or not all(
+            is_positive(value) for value in self.options.values()
+        ):
+            known = ", ".join(sorted(_OPTIONS.get(self.kind, ()))) or "none"
+            raise InputError(
+                f"'{self.kind}' has these options: {known}, of positive numbers; got "
+                f"{dict(self.options)!r}."
+            )
+
+    def _check_product(self) -> None:
+        """Refuse options of gradient products that are not as `gradient_recipe` makes them."""
+        found = dict(self.options)
+        columns: Any = found.get("columns")
+        times: Any = found.get("times")
+        width = _WIDTHS.get(str(found.get("of")), 0)
+        is_sound = (
+            set(found) == _PRODUCT_OPTIONS
+            and found["of"] in _DESCRIPTORS
+            and isinstance(columns, list | tuple)
+            and all(type(column) is int and 0 <= column < width for column in columns)
+            and is_count(found["reach"])
+            and isinstance(times, list | tuple)
+            and all(is_positive(time) for time in times)
+        )
+        if not is_sound:
+            raise InputError(
+                f"'{self.kind}' needs the options of (a descriptor), columns (of it), reach (one "
+                f"or more) and times (positive); got {found!r}."
+            )
+        count = len(neighbour_pairs(len(columns), reach=found["reach"])) * len(times)
+        if count != self.count:
+            raise InputError(
+                f"'{self.kind}' of {len(columns)} columns, reach {found['reach']} and "
+                f"{len(times)} times has {count} components; its `count` is {self.count}."
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +131,20 @@ class Recipe:
     laplacian: LaplacianKind = "cotangent"
     unit_area: bool = True
 
+    def __post_init__(self) -> None:
+        if not self.descriptors:
+            raise InputError("A descriptor recipe needs one descriptor or more; got none.")
+        kinds = get_args(LaplacianKind)
+        if self.laplacian not in kinds:
+            raise InputError(
+                f"There is no Laplacian '{self.laplacian}'; expected one of {', '.join(kinds)}."
+            )
+        if not is_count(self.eigenpairs) or not isinstance(self.unit_area, bool):
+            raise InputError(
+                "A descriptor recipe needs `eigenpairs`, one or more, and `unit_area`, true or "
+                f"false; got {self.eigenpairs!r} and {self.unit_area!r}."
+            )
+
     @property
     def width(self) -> int:
         """Number of columns."""
@@ -103,6 +164,8 @@ class Recipe:
             If the data describe none.
         """
         try:
+            if not isinstance(data["descriptors"], list | tuple):
+                raise TypeError("`descriptors` must be a list")
             parts = tuple(Descriptor(**part) for part in data["descriptors"])
             return cls(**{**data, "descriptors": parts})
         except (TypeError, KeyError) as error:

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from scipy import sparse
 
-from esd.common import FloatArray, IntArray
+from esd.common import FloatArray, InputError, IntArray, is_count, is_positive
 from esd.mesh.geometry import face_areas, face_normals, surface_area, vertex_areas, vertex_normals
 from esd.mesh.mesh import Mesh
 from esd.spectral.laplacian import SparseMatrix, lumped_mass
@@ -44,6 +44,14 @@ class AnisotropicPatches:
     angles: int = 16
     anisotropy: float = 100.0
     entries: int = 16
+
+    def __post_init__(self) -> None:
+        counts, sizes = (self.times, self.angles, self.entries), (self.longest, self.anisotropy)
+        if not (all(map(is_count, counts)) and all(map(is_positive, sizes))):
+            raise InputError(
+                "Anisotropic patches need times, angles and entries, one or more each, and a "
+                f"positive longest time and anisotropy; got {counts} and {sizes}."
+            )
 
     @property
     def bins(self) -> tuple[int, int]:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from scipy import sparse
 from scipy.sparse import csgraph
 
-from esd.common import FloatArray, IntArray
+from esd.common import FloatArray, InputError, IntArray, is_count, is_positive
 from esd.mesh.geometry import edges, surface_area, vertex_normals
 from esd.mesh.mesh import Mesh
 from esd.spectral.laplacian import SparseMatrix
@@ -41,6 +41,13 @@ class GeodesicPatches:
     rings: int = 5
     rays: int = 16
     radius: float = 0.045
+
+    def __post_init__(self) -> None:
+        if not (is_count(self.rings) and is_count(self.rays) and is_positive(self.radius)):
+            raise InputError(
+                "Geodesic patches need rings and rays, one or more, and a positive radius; got "
+                f"{self.rings!r}, {self.rays!r} and {self.radius!r}."
+            )
 
     @property
     def bins(self) -> tuple[int, int]:

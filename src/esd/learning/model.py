@@ -14,7 +14,14 @@ import numpy.typing as npt
 from safetensors import SafetensorError
 from safetensors.numpy import load_file, save
 
-from esd.common import FloatArray, InputError, check_can_be_made, whole_folder
+from esd.common import (
+    FloatArray,
+    InputError,
+    check_can_be_made,
+    is_count,
+    is_positive,
+    whole_folder,
+)
 from esd.descriptors.recipe import (
     DESCRIPTOR_KINDS,
     Recipe,
@@ -232,27 +239,52 @@ def load_model(model: str | os.PathLike[str], *, device: str = "cpu") -> Model:
     config = _read_config(folder / "config.json")
     weights = _read_weights(folder / "model.safetensors")
     try:
-        recipe = Recipe.from_json(config["recipe"])
-        count = len(config["layers"]) - 1
-        loaded = Model(
-            name=folder.resolve().name,
-            recipe=recipe,
-            mean=weights["mean"],
-            deviation=weights["deviation"],
-            layers=tuple(
-                Layer(weights[f"layer{i}.weight"], weights[f"layer{i}.bias"]) for i in range(count)
-            ),
-            margin=config["margin"],
-            limit=config.get("limit"),
-            unit_length=config.get("unit_length", False),
-            patches=patches_from_json(config["patches"]) if config.get("patches") else None,
-            card=config["card"],
-            device=device,
-        )
-    except (KeyError, TypeError) as error:
+        loaded = _model_of(config, weights, folder, device)
+    except KeyError as error:
         raise InputError(f"The model '{folder}' lacks {error}.") from error
+    except InputError as error:
+        raise InputError(f"'{folder / 'config.json'}': {error}") from error
     _check_fit(loaded, config["layers"], folder)
+    if len(weights) != 2 + 2 * len(loaded.layers):  # mean, deviation, and two arrays a layer
+        raise InputError(
+            f"'{folder / 'config.json'}': `layers` has {len(loaded.layers)} of them, and "
+            f"'model.safetensors' others beyond: its files are of different models."
+        )
     return loaded
+
+
+def _model_of(
+    config: Mapping[str, Any], weights: Mapping[str, Any], folder: Path, device: str
+) -> Model:
+    """The model of a configuration, each of whose values is checked, and its weights."""
+    widths, patches = config["layers"], config.get("patches")
+    if not isinstance(widths, list) or not widths or not all(map(is_count, widths)):
+        raise InputError(f"`layers` must list the neurons of each layer; got {widths!r}.")
+    margin, limit, unit_length = config["margin"], config.get("limit"), config.get("unit_length")
+    for name, value in (("margin", margin), ("limit", limit)):
+        if value is not None and not is_positive(value):
+            raise InputError(f"`{name}` must be a positive number or null; got {value!r}.")
+    if unit_length not in (True, False, None):
+        raise InputError(f"`unit_length` must be true or false; got {unit_length!r}.")
+    for name, value in (("recipe", config["recipe"]), ("card", config["card"])):
+        if not isinstance(value, dict):
+            raise InputError(f"`{name}` must be an object of names and values; got {value!r}.")
+    return Model(
+        name=folder.resolve().name,
+        recipe=Recipe.from_json(config["recipe"]),
+        mean=weights["mean"],
+        deviation=weights["deviation"],
+        layers=tuple(
+            Layer(weights[f"layer{i}.weight"], weights[f"layer{i}.bias"])
+            for i in range(len(widths) - 1)
+        ),
+        margin=margin,
+        limit=limit,
+        unit_length=bool(unit_length),
+        patches=None if patches is None else patches_from_json(patches),
+        card=config["card"],
+        device=device,
+    )
 
 
 def save_model(model: Model, folder: str | os.PathLike[str]) -> None:
@@ -335,8 +367,10 @@ def _check_fit(model: Model, widths: Sequence[int], folder: Path) -> None:
             "its files are of different models."
         )
     arrays = [model.mean, model.deviation, *(a for x in model.layers for a in (x.weight, x.bias))]
-    if not all(np.isfinite(array).all() for array in arrays):
+    if not all(array.dtype.kind == "f" and np.isfinite(array).all() for array in arrays):
         raise InputError(f"The weights of '{folder}' are not all finite: the training diverged.")
+    if not (model.deviation > 0).all():
+        raise InputError(f"The deviations of '{folder}' must be positive: its files are damaged.")
 
 
 def model_description(model: Model) -> str:

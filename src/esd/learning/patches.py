@@ -33,6 +33,8 @@ def patches_from_json(data: Mapping[str, Any]) -> Patches:
         If the data describe none.
     """
     kinds = {"geodesic": GeodesicPatches, "anisotropic": AnisotropicPatches}
+    if not isinstance(data, Mapping):
+        raise InputError(f"Patches must be an object of names and values; got {data!r}.")
     try:
         made: Patches = kinds[data["kind"]](**data)
     except (TypeError, KeyError) as error:
