@@ -81,7 +81,7 @@ def test_an_ended_command_leaves_one_line_at_most_and_no_file(tmp_path, number):
         # as in a terminal: what runs in the background may have been told to ignore it
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "from esd.common import whole_file\n"
-        "def slow():\n"
+        "def slow(args):\n"
         "    with whole_file(sys.argv[1] + '/map.csv') as t:\n"
         "        t.write_text('half'); Path(sys.argv[1], 'here').touch(); time.sleep(60)\n"
         "app.app = slow; app.main()\n"

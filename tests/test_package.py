@@ -1,6 +1,8 @@
+import re
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 import esd
@@ -13,6 +15,19 @@ def test_public_names_are_there():
         assert getattr(esd, name) is not None
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         esd.nothing  # noqa: B018
+
+
+def test_only_public_names_are_completed():
+    assert dir(esd) == sorted(esd.__all__)
+    assert {"train", "evaluate", "hks", "wks", "gps", "zoomout", "transfer"} <= set(dir(esd))
+
+
+def test_everything_shows_itself_in_a_line(sphere, collection):
+    spectrum = esd.spectrum(sphere, 10)
+    match = esd.Correspondence(*(np.zeros(len(sphere.vertices), dtype=int) for _ in range(3)))
+    page = esd.view(sphere, sphere, match)
+    for thing in (sphere, collection, spectrum, match, page, esd.load_model("default")):
+        assert re.fullmatch(r"<\w+.{1,150}>", repr(thing)), repr(thing)[:200]
 
 
 def test_importing_it_loads_no_other_package():

@@ -146,8 +146,8 @@ def test_a_map_by_way_of_coarse_copies(shapes, tmp_path):
     pair = (shapes / "tr_reg_000.off", shapes / "tr_reg_030.off", "-m", "hks", "--coarse", 350)
     told = json.loads(run("match", *pair, "-o", tmp_path / "m.npy", "--json").stdout)
     assert told["matched"] == len(np.load(tmp_path / "m.npy")) == 384
-    refused = run("match", *pair, "--one-to-one", "-o", tmp_path / "n.npy", expect=1)
-    assert "are not one-to-one" in refused.stderr
+    refused = run("match", *pair, "--one-to-one", "-o", tmp_path / "n.npy", expect=2)
+    assert "--one-to-one or --coarse, not both" in refused.stderr
 
 
 def test_wrong_usage_ends_with_two(shapes):
@@ -175,9 +175,10 @@ def test_experiments_write_reports_and_go_on(shapes, tmp_path):
     text = (folder / "report.md").read_text()
     assert f"esd reproduce dimension --data {shapes}" in text
     assert "2 shapes of 00, 01" in text
-    assert "once" in run(*arguments, "--data", "bodies", expect=1).stderr
+    assert "once" in run(*arguments, "--data", "bodies", expect=2).stderr
     run("reproduce", "nosuch", "--data", shapes, "-o", tmp_path / "r", expect=2)
-    assert "is left without" in run(*arguments, "--test", "*", expect=1).stderr
+    assert "--force" in run(*arguments, expect=1).stderr
+    assert "is left without" in run(*arguments, "--test", "*", "--force", expect=1).stderr
 
 
 def test_sequences_are_listed_and_selected(tmp_path):

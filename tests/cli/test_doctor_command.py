@@ -52,7 +52,10 @@ def test_commands_take_broken_meshes_and_points_and_say_so(blob, tmp_path):
         torn,
     )
     assert "no faces: a point cloud" in run("doctor", points).stdout
-    assert "cannot be written as a mesh" in run("doctor", points, "--repair", torn, expect=1).stderr
+    assert (
+        "cannot be written as a mesh"
+        in run("doctor", points, "--repair", tmp_path / "p.ply", expect=1).stderr
+    )
     run("match", points, whole, "-m", "hks", "-o", tmp_path / "m.csv")
     done = run("match", torn, whole, "-m", "hks", "-o", tmp_path / "n.csv", "--json", "--repair")
     summary = json.loads(done.stdout)

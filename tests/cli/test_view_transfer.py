@@ -93,7 +93,7 @@ def test_transfer_of_what_people_have(run, pair):
     run("transfer", *common, "--morph", 3, where=pair)
     last = read_mesh(pair / "b-morph" / "2.ply")
     assert len(last.vertices) == 96
-    done = run("transfer", *common, where=pair, expect=1)
+    done = run("transfer", *common, where=pair, expect=2)
     assert "Give one of --texture" in done.stderr
     done = run("transfer", *common, "--texture", where=pair, expect=1)
     assert "textures are read from .obj, .glb" in done.stderr
@@ -197,13 +197,18 @@ def in_a_process(*arguments: str, **variables: str) -> subprocess.CompletedProce
     return subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
 
 
-def test_verbose_tells_what_is_done_and_where_it_failed(pair):
+def test_verbose_says_what_is_done_and_shows_where_only_faults_of_esd_happened(pair):
     mesh, output = str(pair / "a.off"), str(pair / "s.npz")
     loud = in_a_process("spectrum", mesh, "-k", "5", "-o", output, "--verbose", ESD_CACHE="off")
     assert "5 eigenpairs of 96 vertices were computed in" in loud.stderr
     failed = in_a_process("spectrum", "missing.off", "--verbose")
     assert failed.returncode == 1
-    assert "Traceback" in failed.stderr
+    assert failed.stderr == "esd: There is no file 'missing.off'.\n"
+    code = "import sys, esd.cli.app as a; a.app = lambda args: [][1]; sys.argv = ['esd']; a.main()"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert "IndexError: list index out of range. This is a fault of esd" in done.stderr
+    assert "Traceback" not in done.stderr
 
 
 def test_help_has_examples_and_no_colour_where_none_is_wanted():

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import logging
+import os
 import signal
 import sys
 from collections.abc import Callable
+from typing import NoReturn
 
 import typer
 
@@ -18,7 +20,7 @@ from esd.cli.evaluate import evaluate
 from esd.cli.export import export
 from esd.cli.match import match
 from esd.cli.model import model
-from esd.cli.output import telling
+from esd.cli.output import HELP_NAMES, telling
 from esd.cli.precompute import precompute
 from esd.cli.reproduce import reproduce
 from esd.cli.spectrum import spectrum
@@ -29,11 +31,14 @@ from esd.common import InputError, install_hint
 
 _log = logging.getLogger(__name__)
 
+_TERMINATED = 128 + signal.SIGTERM
+
 app = typer.Typer(
     name="esd",
     help="Point-to-point correspondence between deformable 3D shapes.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
+    context_settings=HELP_NAMES,
 )
 _EXAMPLES: dict[Callable[..., None], tuple[str, ...]] = {
     match: (
@@ -98,17 +103,16 @@ def main() -> None:
     """Run the command line; ends the process with 0, 1 (bad input) or 2 (wrong usage)."""
     logging.basicConfig(format="esd: %(message)s", level=logging.WARNING, stream=sys.stderr)
     # as Ctrl-C does, so that temporary files are removed on the way out
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(_TERMINATED))
     try:
         app(args=expanded(sys.argv[1:]))
     except InputError as error:
-        _log.info("It failed here:", exc_info=error)
         _fail(str(error))
     except ModuleNotFoundError as error:
         extras = {"torch": "train", "matplotlib": "viz", "PIL": "viz", "distributed": "cluster"}
         extra = extras.get(error.name or "")
         if extra is None:
-            raise
+            _fail_unexpectedly(error)
         _fail(f"This needs {error.name}: {install_hint(extra)}.")
     except OSError as error:
         _fail(str(error))
@@ -117,6 +121,15 @@ def main() -> None:
     except KeyboardInterrupt:
         typer.echo("esd: interrupted", err=True)
         raise SystemExit(130) from None
+    except SystemExit as ended:
+        if ended.code == _TERMINATED:
+            # not by way of the interpreter's end: threads that compute could crash there
+            logging.shutdown()
+            sys.stdout.flush()
+            os._exit(_TERMINATED)
+        raise
+    except Exception as error:
+        _fail_unexpectedly(error)
 
 
 def expanded(arguments: list[str]) -> list[str]:
@@ -136,6 +149,13 @@ def expanded(arguments: list[str]) -> list[str]:
     return [*arguments[:at], *files[:1], *repeated, *arguments[at + taken :]]
 
 
-def _fail(message: str) -> None:
+def _fail_unexpectedly(error: Exception) -> NoReturn:
+    """One line for what nobody thought of; --verbose shows where it happened."""
+    _log.info("It happened here:", exc_info=error)
+    kind = type(error).__name__
+    _fail(f"{kind}: {error}. This is a fault of esd; run again with --verbose for a report.")
+
+
+def _fail(message: str) -> NoReturn:
     typer.echo(f"esd: {' '.join(message.split())}", err=True)
     raise SystemExit(1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
@@ -16,19 +17,23 @@ from esd.cli.options import (
     ForceOption,
     FullOption,
     JsonOption,
+    MinConfidenceOption,
     Mirror,
     MirrorOption,
     ModelOption,
     OneToOneOption,
+    PatienceOption,
     RefineOption,
     RejectOption,
     RepairOption,
     SchedulerOption,
     WorkersOption,
     candidate_names,
+    check_coarse,
+    check_threshold,
     workers_of,
 )
-from esd.cli.output import free_path, tell
+from esd.cli.output import destination, tell
 from esd.cli.progress import progress
 
 
@@ -52,12 +57,14 @@ def batch(
     mirror: MirrorOption = Mirror.auto,
     candidates: CandidatesOption = None,
     reject: RejectOption = False,
+    min_confidence: MinConfidenceOption = 0.0,
     one_to_one: OneToOneOption = False,
     coarse: CoarseOption = None,
     full: FullOption = False,
     repair: RepairOption = False,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
+    patience: PatienceOption = 60.0,
     device: DeviceOption = "cpu",
     as_json: JsonOption = False,
     force: ForceOption = False,
@@ -69,14 +76,19 @@ def batch(
     from esd.learning.model import load_model
     from esd.matching.batch import match_files, read_pairs_of_files
 
-    computing = workers_of(workers, scheduler)
+    check_coarse(coarse, one_to_one=one_to_one, full=full)
+    computing = workers_of(workers, scheduler, patience)
     start = time.perf_counter()
     if scheduler:  # its workers may run in other folders
         pairs, output = pairs.resolve(), output.resolve()
     listed = read_pairs_of_files(pairs, folder=output)
+    inputs = {pairs, *(file for pair in listed for file in (pair.source, pair.target))}
+    read = {os.path.realpath(file) for file in inputs}
     for pair in listed:
-        free_path(pair.output, force=force)
+        destination(pair.output, force=force, inputs=[*read & {os.path.realpath(pair.output)}])
     loaded = load_model(model, device=device)
+    if reject:
+        check_threshold(loaded)
     steps = len(listed) + len({file for pair in listed for file in (pair.source, pair.target)})
     maps, failed = [], 0
     with progress("matching", steps) as advance:
@@ -87,6 +99,7 @@ def batch(
             candidates=candidate_names(candidates),
             mirror=mirror.value,
             reject=reject,
+            min_confidence=min_confidence,
             one_to_one=one_to_one,
             everything=repair,
             coarse=coarse,

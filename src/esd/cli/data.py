@@ -8,17 +8,19 @@ from typing import Annotated
 import typer
 
 from esd.cli.options import ForceOption
-from esd.cli.output import free_path, tell, telling
+from esd.cli.output import HELP_NAMES, destination, tell, telling
 
 data = typer.Typer(
-    help="The bodies that ship with the package; Dyna and D-FAUST.", no_args_is_help=True
+    help="The bodies that ship with the package; Dyna and D-FAUST.",
+    no_args_is_help=True,
+    context_settings=HELP_NAMES,
 )
 
 
 @data.command()
 @telling
 def bodies(
-    export: Annotated[Path, typer.Option(metavar="DIR", help="Folder to write.")],
+    export: Annotated[Path, typer.Option(metavar="DIR", help="Folder to write.")] = Path("bodies"),
     remeshed: Annotated[
         bool,
         typer.Option(help="Each shape with a triangulation of its own, or all with one."),
@@ -33,7 +35,8 @@ def bodies(
     from esd.datasets.bodies import bodies as all_bodies
     from esd.datasets.export import export_folder
 
-    free_path(export / "shapes", force=force)
+    for name in ("shapes", "corres", "parts", "subjects.csv"):
+        destination(export / name, force=force, is_folder="." not in name)
     collection = all_bodies(remeshed=remeshed)
     if include:
         collection = collection.including(include)
@@ -47,6 +50,7 @@ DynaArgument = Annotated[
 
 
 @data.command("list")
+@telling
 def list_recordings(path: DynaArgument) -> None:
     """List the sequences of Dyna or D-FAUST: subject, sequence and number of frames."""
     from esd.datasets.dyna import recordings
@@ -56,9 +60,15 @@ def list_recordings(path: DynaArgument) -> None:
 
 
 @data.command()
+@telling
 def select(
     path: DynaArgument,
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="Ends in .hdf5.")],
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output", "-o", metavar="FILE", help="By default named as DYNA: NAME-selection.hdf5."
+        ),
+    ] = None,
     per_subject: Annotated[int, typer.Option(min=1, help="Frames of each subject.")] = 10,
     seed: Annotated[int, typer.Option(min=0, help="Of the draw.")] = 0,
     force: ForceOption = False,
@@ -66,6 +76,7 @@ def select(
     """Write some frames of each subject of Dyna or D-FAUST to a small file, to work with."""
     from esd.datasets.dyna import save_selection
 
-    free_path(output, force=force)
+    output = output or Path(f"{path.stem}-selection.hdf5")
+    destination(output, force=force, inputs=[path, *(path.glob("*") if path.is_dir() else ())])
     count = save_selection(path, output, per_subject=per_subject, seed=seed)
     tell(f"{count} frames written to {output}")

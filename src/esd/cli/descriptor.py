@@ -9,11 +9,12 @@ import typer
 
 from esd.cli.doctor import tell_findings
 from esd.cli.options import ForceOption
-from esd.cli.output import free_path, tell
+from esd.cli.output import about, destination, tell
+from esd.cli.progress import progress
 
 
 def descriptor(
-    mesh: Annotated[Path, typer.Argument(help="A mesh file.")],
+    mesh: Annotated[Path, typer.Argument(metavar="MESH", help="A mesh file.")],
     output: Annotated[
         Path | None,
         typer.Option(
@@ -36,9 +37,12 @@ def descriptor(
     from esd.mesh.repair.repair import repair
     from esd.spectral.cache import default_cache
 
-    path = free_path(check_descriptor_path(output or Path(f"{mesh.stem}-{kind}.npz")), force=force)
-    shape = repair(mesh)
-    values = descriptors(single_recipe(kind, log=log), shape.shape, cache=default_cache())
+    path = check_descriptor_path(output or Path(f"{mesh.stem}-{kind}.npz"))
+    destination(path, force=force, inputs=[mesh])
+    recipe = single_recipe(kind, log=log)
+    with about(mesh), progress("computing"):
+        shape = repair(mesh)
+        values = descriptors(recipe, shape.shape, cache=default_cache())
     values = shape.carried_back(values)
     tell_findings(mesh, shape)
     save_descriptor(values, path)

@@ -9,12 +9,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from esd.cli.options import ForceOption
+from esd.cli.output import about, destination
+from esd.cli.progress import progress
+
 if TYPE_CHECKING:
     from esd.mesh.repair.repair import Repaired
 
 
 def doctor(
-    mesh: Annotated[Path, typer.Argument(help="A mesh file, or one of points.")],
+    mesh: Annotated[Path, typer.Argument(metavar="MESH", help="A mesh file, or one of points.")],
     repair: Annotated[
         Path | None,
         typer.Option(
@@ -24,17 +28,24 @@ def doctor(
         ),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the findings as JSON.")] = False,
+    force: ForceOption = False,
 ) -> None:
-    """Tell what is wrong with MESH, how bad it is, what it does to results, what can be done."""
+    """Report what is wrong with MESH, how bad it is, what it does to results, what can be done."""
     from esd.common import InputError, install_hint
     from esd.mesh.convert import as_arrays
-    from esd.mesh.io.meshes import write_mesh
+    from esd.mesh.io.meshes import check_mesh_path, write_mesh
     from esd.mesh.mesh import Mesh
     from esd.mesh.repair.repair import can_find_self_intersections, diagnose
     from esd.mesh.repair.repair import repair as repaired
 
-    arrays = as_arrays(mesh)
-    diagnosis = diagnose(arrays)
+    if repair is not None:
+        check_mesh_path(repair)
+        map_path = repair.with_name(repair.name + ".map.csv")
+        for path in (repair, map_path):
+            destination(path, force=force, inputs=[mesh])
+    with about(mesh), progress("looking"):
+        arrays = as_arrays(mesh)
+        diagnosis = diagnose(arrays)
     findings = [
         {
             "kind": finding.kind,
@@ -74,11 +85,11 @@ def doctor(
         if not summary["self_intersections_checked"] and diagnosis.faces:
             typer.echo(f"  To find faces that cut through each other: {install_hint('doctor')}.")
     if repair is not None:
-        done = repaired(arrays, everything=True).compacted()
+        with about(mesh), progress("repairing"):
+            done = repaired(arrays, everything=True).compacted()
         if not isinstance(done.shape, Mesh):
             raise InputError("Points cannot be written as a mesh; match takes them as they are.")
         write_mesh(done.shape, repair)
-        map_path = repair.with_name(repair.name + ".map.csv")
         _save_index_map(done, map_path)
         kept = int((done.vertex_index >= 0).sum())
         summary["repaired"] = {

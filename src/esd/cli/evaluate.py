@@ -12,13 +12,15 @@ from esd.cli.options import (
     DatasetArgument,
     DeviceOption,
     ForceOption,
+    PatienceOption,
     RefineOption,
     RejectOption,
     SchedulerOption,
     WorkersOption,
+    check_threshold,
     workers_of,
 )
-from esd.cli.output import free_path, tell
+from esd.cli.output import destination, tell
 
 
 def evaluate(
@@ -57,6 +59,7 @@ def evaluate(
     ] = None,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
+    patience: PatienceOption = 60.0,
     device: DeviceOption = "cpu",
     plot: Annotated[
         Path | None,
@@ -85,13 +88,18 @@ def evaluate(
 
     if pairs and include:
         raise typer.BadParameter("Give --pairs or --include, not both.")
-    computing = workers_of(workers, scheduler)
+    computing = workers_of(workers, scheduler, patience)
     if plot:
         # before the work, which can take long
         from esd.viewing.figures import check_figure_path, errors_figure, save_figure
 
-        free_path(check_figure_path(plot), force=force)
+        destination(
+            check_figure_path(plot), force=force, inputs=[dataset, *([pairs] if pairs else [])]
+        )
     models = [load_model(name, device=device) for name in dict.fromkeys(model)]
+    if reject:
+        for loaded in models:
+            check_threshold(loaded)
     # workers of a cluster may run in other folders
     collection = open_collection(Path(dataset).resolve() if Path(dataset).exists() else dataset)
     if pairs:

@@ -15,7 +15,7 @@ from esd.cli.options import (
     TargetArgument,
     TruthOption,
 )
-from esd.cli.output import free_path, tell
+from esd.cli.output import destination, tell
 from esd.cli.view import true_error
 
 
@@ -24,14 +24,15 @@ def export(
     target: TargetArgument,
     map: MapArgument,
     output: Annotated[
-        Path,
+        Path | None,
         typer.Option(
             "--output",
             "-o",
             metavar="FILE",
-            help="SOURCE with its matches: .ply or .vtp; the map alone: .csv, .npy, .txt or .vts.",
+            help="SOURCE with its matches: .ply or .vtp; the map alone: .csv, .npy, .txt or .vts. "
+            "By default SOURCE-TARGET.ply.",
         ),
-    ],
+    ] = None,
     truth: TruthOption = None,
     points: PointsOption = None,
     force: ForceOption = False,
@@ -40,21 +41,31 @@ def export(
 
     PLY opens in MeshLab and Blender, VTP in ParaView.
     """
-    from esd.matching.correspondence import load_map, save_map
+    from esd.common import InputError
+    from esd.matching.correspondence import MAP_SUFFIXES, load_map, save_map
     from esd.mesh.convert import as_mesh
     from esd.mesh.io.attributes import ATTRIBUTE_FORMATS, write_with_attributes
 
-    free_path(output, force=force)
+    path = output or Path(f"{source.stem}-{target.stem}.ply")
+    if path.suffix.lower() not in ATTRIBUTE_FORMATS + MAP_SUFFIXES:
+        raise InputError(
+            f"'{path}': expected {', '.join(ATTRIBUTE_FORMATS)} for SOURCE with its matches, or "
+            f"{', '.join(MAP_SUFFIXES)} for the map alone."
+        )
+    if truth and points:
+        raise typer.BadParameter("Give --truth or --points, not both.")
+    inputs = [source, target, map, *([truth] if truth else []), *(points or ())]
+    destination(path, force=force, inputs=inputs)
     source_mesh, target_mesh = as_mesh(source), as_mesh(target)
     match = load_map(
         map, source_count=len(source_mesh.vertices), target_count=len(target_mesh.vertices)
     )
-    if output.suffix.lower() in ATTRIBUTE_FORMATS:
+    if path.suffix.lower() in ATTRIBUTE_FORMATS:
         attributes = match.attributes()
         error = true_error(source_mesh, target_mesh, match, truth, points)
         if error is not None:
             attributes["error"] = error
-        write_with_attributes(source_mesh, attributes, output)
+        write_with_attributes(source_mesh, attributes, path)
     else:
-        save_map(match, output)
-    tell(f"written to {output}")
+        save_map(match, path)
+    tell(f"written to {path}")

@@ -15,6 +15,7 @@ from esd.cli.options import (
     ForceOption,
     FullOption,
     JsonOption,
+    MinConfidenceOption,
     Mirror,
     MirrorOption,
     ModelOption,
@@ -25,8 +26,11 @@ from esd.cli.options import (
     SourceArgument,
     TargetArgument,
     candidate_names,
+    check_coarse,
+    check_threshold,
 )
-from esd.cli.output import free_path, tell
+from esd.cli.output import about, destination, tell
+from esd.cli.progress import progress
 
 if TYPE_CHECKING:
     from esd.common import IntArray
@@ -59,6 +63,7 @@ def match(
     mirror: MirrorOption = Mirror.auto,
     candidates: CandidatesOption = None,
     reject: RejectOption = False,
+    min_confidence: MinConfidenceOption = 0.0,
     one_to_one: OneToOneOption = False,
     coarse: CoarseOption = None,
     full: FullOption = False,
@@ -81,39 +86,42 @@ def match(
 
     from esd.learning.model import load_model
     from esd.matching.correspondence import check_map_path, save_map
-    from esd.matching.match import check_copies, prepared
     from esd.matching.match import match as match_meshes
+    from esd.matching.match import prepared
     from esd.mesh.repair.repair import usable_part
 
+    check_coarse(coarse, one_to_one=one_to_one, full=full)
     start = time.perf_counter()
-    path = free_path(
-        check_map_path(output or Path(f"{source.stem}-{target.stem}.csv")), force=force
-    )
+    inputs = [source, target, *(landmarks or [])]
+    path = check_map_path(output or Path(f"{source.stem}-{target.stem}.csv"))
+    destination(path, force=force, inputs=inputs)
     page = path.with_suffix(".html")
     if view:
-        free_path(page, force=force)
+        destination(page, force=force, inputs=inputs)
         drawn = usable_part(source), usable_part(target)
-    check_copies(one_to_one=one_to_one, coarse=coarse, full=full)
     loaded = load_model(model, device=device)
     if reject:
-        loaded.threshold()  # refused before anything is computed
+        check_threshold(loaded)
     names, pairs = _landmark_pairs(landmarks or [], source, target)
-    shapes = [
-        prepared(path, everything=repair, coarse=coarse, full=full) for path in (source, target)
-    ]
-    result = match_meshes(
-        *shapes,
-        model=loaded,
-        refine=refine,
-        one_to_one=one_to_one,
-        candidates=candidate_names(candidates),
-        landmarks=pairs,
-        mirror=mirror.value,
-        coarse=coarse,
-        full=full,
-    )
+    shapes = []
+    with progress("matching"):
+        for file in (source, target):
+            with about(file):
+                shapes.append(prepared(file, everything=repair, coarse=coarse, full=full))
+        result = match_meshes(
+            *shapes,
+            model=loaded,
+            refine=refine,
+            one_to_one=one_to_one,
+            candidates=candidate_names(candidates),
+            landmarks=pairs,
+            mirror=mirror.value,
+            coarse=coarse,
+            full=full,
+        )
     if reject:
         result = result.rejecting(loaded.threshold())
+    result = result.confident(min_confidence)
     save_map(result, path)
     matched, judged = result.is_matched(), result.judgement
     summary = {

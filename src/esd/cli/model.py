@@ -6,17 +6,20 @@ from typing import Annotated
 
 import typer
 
-model = typer.Typer(help="The models at hand.", no_args_is_help=True)
+from esd.cli.output import HELP_NAMES
+
+model = typer.Typer(help="The models at hand.", no_args_is_help=True, context_settings=HELP_NAMES)
 
 
 @model.command("list")
 def list_models() -> None:
-    """List the bundled models and the raw descriptors; `default` is paper-hks."""
+    """List the bundled models and the raw descriptors."""
     from esd.descriptors.recipe import DESCRIPTOR_KINDS
-    from esd.learning.model import bundled_models
+    from esd.learning.model import ALIASES, bundled_models
 
     for name in bundled_models():
-        typer.echo(name)
+        called = "".join(f" ({alias})" for alias, of in ALIASES.items() if of == name)
+        typer.echo(f"{name}{called}")
     for name in DESCRIPTOR_KINDS:
         typer.echo(f"{name} (raw descriptor)")
 

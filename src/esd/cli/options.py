@@ -9,11 +9,16 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
+    from esd.learning.model import Model
     from esd.parallel import Workers
 
 ForceOption = Annotated[bool, typer.Option("--force", "-f", help="Replace a file that exists.")]
-SourceArgument = Annotated[Path, typer.Argument(help="Mesh whose vertices are mapped.")]
-TargetArgument = Annotated[Path, typer.Argument(help="Mesh that they are mapped to.")]
+SourceArgument = Annotated[
+    Path, typer.Argument(metavar="SOURCE", help="Mesh whose vertices are mapped.")
+]
+TargetArgument = Annotated[
+    Path, typer.Argument(metavar="TARGET", help="Mesh that they are mapped to.")
+]
 MapArgument = Annotated[
     Path, typer.Argument(metavar="MAP", help="The map, as `esd match` writes it.")
 ]
@@ -63,6 +68,20 @@ RefineOption = Annotated[
 ]
 RejectOption = Annotated[
     bool, typer.Option("--reject", help="Drop matches beyond the model's threshold, C / 2.")
+]
+MinConfidenceOption = Annotated[
+    float,
+    typer.Option(
+        "--min-confidence", min=0, max=1, help="Drop matches of less confidence, from 0 to 1."
+    ),
+]
+PatienceOption = Annotated[
+    float,
+    typer.Option(
+        metavar="SECONDS",
+        min=0.1,
+        help="With --scheduler: how long to wait for it, and for its workers while it has none.",
+    ),
 ]
 DeviceOption = Annotated[
     str,
@@ -128,6 +147,25 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print a summary as JSO
 def candidate_names(text: str | None) -> tuple[str, ...] | None:
     """The names in the text of `--candidates`."""
     return None if text is None else tuple(name.strip() for name in text.split(","))
+
+
+def check_coarse(coarse: int | None, *, one_to_one: bool, full: bool) -> None:
+    """Wrong usage if a map by way of coarse copies is to be one-to-one, or full."""
+    if one_to_one and coarse is not None:
+        raise typer.BadParameter("Give --one-to-one or --coarse, not both.")
+    if full and coarse is not None:
+        raise typer.BadParameter("Give --full or --coarse, not both.")
+
+
+def check_threshold(model: Model) -> None:
+    """Raise an `InputError` if --reject can do nothing with a model."""
+    from esd.common import InputError
+
+    if model.margin is None:
+        raise InputError(
+            f"--reject needs a model that was trained with a margin, which '{model.name}' was not; "
+            "drop matches by their confidence instead: --min-confidence 0.5."
+        )
 
 
 def workers_of(processes: int | None, scheduler: str | None, patience: float = 60.0) -> Workers:

@@ -1,31 +1,73 @@
-"""What every command has in common: how much it tells, and that it destroys no file."""
+"""What every command has in common: how much it prints, and that it destroys no file."""
 
 from __future__ import annotations
 
 import inspect
 import logging
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from esd.common import InputError
+from esd.common import InputError, check_can_be_made
+
+HELP_NAMES = {"help_option_names": ["-h", "--help"]}
+"""Settings of every command and group of commands."""
 
 
-def free_path(path: Path, *, force: bool) -> Path:
-    """The path, if nothing is lost by writing there: no file of any size is, unless forced.
+def destination(
+    path: Path, *, force: bool, inputs: Iterable[Path | str] = (), is_folder: bool = False
+) -> Path:
+    """The path, if nothing is lost by writing there, which is checked before any work.
+
+    Parameters
+    ----------
+    force
+        Whether a file that exists is replaced.
+    inputs
+        Files and folders that the command reads; none of them is ever written to, whatever it is
+        called there: by another path, or by a link.
+    is_folder
+        Whether a folder is written.
 
     Raises
     ------
     InputError
-        If a file, or a folder with something in it, is there and `force` is not given.
+        If an input is there, or its folder cannot be made, or a file that is not empty or a folder
+        that is not empty is there and `force` is not given.
     """
+    if any(_is_same(path, Path(each)) for each in inputs):
+        raise InputError(f"'{path}' is read by this command; choose another name to write to.")
+    if path.is_dir() and not is_folder:
+        raise InputError(f"'{path}' is a folder; give the name of a file to write.")
+    if path.is_file() and is_folder:
+        raise InputError(f"'{path}' is a file; give the name of a folder to write.")
     taken = any(path.iterdir()) if path.is_dir() else path.is_file() and path.stat().st_size > 0
     if taken and not force:
         raise InputError(f"'{path}' exists; choose another name, or give --force to replace it.")
-    return path
+    return check_can_be_made(path)
+
+
+def _is_same(path: Path, other: Path) -> bool:
+    try:
+        return path.samefile(other)  # hard links are one file, too
+    except OSError:  # at least one does not exist
+        return os.path.realpath(path) == os.path.realpath(other)
+
+
+@contextmanager
+def about(path: object) -> Iterator[None]:
+    """Name a file in errors about its content that do not name it themselves."""
+    try:
+        yield
+    except InputError as error:
+        if str(path) in str(error):
+            raise
+        raise InputError(f"'{path}': {error}") from error
 
 
 def tell(message: str) -> None:
@@ -64,5 +106,5 @@ _Quiet = Annotated[
     bool, typer.Option("--quiet", "-q", help="Print only errors, and what --json asks for.")
 ]
 _Verbose = Annotated[
-    bool, typer.Option("--verbose", "-v", help="Tell what is done, on standard error.")
+    bool, typer.Option("--verbose", "-v", help="Say what is done, on standard error.")
 ]

@@ -8,8 +8,15 @@ from typing import Annotated
 
 import typer
 
-from esd.cli.options import DatasetArgument, ForceOption, SchedulerOption, WorkersOption, workers_of
-from esd.cli.output import tell
+from esd.cli.options import (
+    DatasetArgument,
+    ForceOption,
+    PatienceOption,
+    SchedulerOption,
+    WorkersOption,
+    workers_of,
+)
+from esd.cli.output import destination, tell
 
 
 def precompute(
@@ -34,13 +41,14 @@ def precompute(
     ] = None,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
+    patience: PatienceOption = 60.0,
     as_json: Annotated[bool, typer.Option("--json", help="Print a summary as JSON.")] = False,
     force: ForceOption = False,
 ) -> None:
     """Write the descriptors of all shapes of DATASET to a store that esd train reads.
 
     A store that exists is brought up to date: only shapes that are new or have changed are
-    computed, and an interrupted run goes on. --force makes it anew.
+    computed, and an interrupted run resumes when rerun. --force makes it anew.
     """
     import time
 
@@ -48,15 +56,19 @@ def precompute(
     from esd.common import InputError
     from esd.datasets.open import open_collection
     from esd.datasets.precompute import precompute as precompute_collection
+    from esd.datasets.store import is_store
     from esd.learning.model import load_model
     from esd.learning.presets import preset as named_preset
 
     start = time.perf_counter()
     if preset and model:
         raise typer.BadParameter("Give --preset or --model, not both.")
-    computing = workers_of(workers, scheduler)
+    computing = workers_of(workers, scheduler, patience)
     if output.suffix.lower() not in (".h5", ".hdf5"):
         raise InputError(f"'{output}': stores are written to .h5 files.")
+    destination(output, force=True, inputs=[dataset])
+    if force and output.exists() and not is_store(output):
+        raise InputError(f"'{output}' is no store, and is not replaced; choose another name.")
     training = named_preset(preset) if preset else None
     recipe = training.recipe if training else load_model(model or "default").recipe
     remeshings = training.remeshings if training else 0
@@ -92,6 +104,6 @@ def precompute(
         tell(f"{done.computed} shapes computed, {done.unchanged} unchanged: {output}")
     if done.failures:
         raise InputError(
-            f"{len(done.failures)} of {total} shapes failed; the others are in '{output}'. Give "
-            "the command again when these are mended."
+            f"{len(done.failures)} of {total} shapes failed; the others are in '{output}'. Run "
+            "the command again when these are repaired."
         )

@@ -8,7 +8,8 @@ from typing import Annotated
 
 import typer
 
-from esd.cli.output import tell
+from esd.cli.options import ForceOption
+from esd.cli.output import destination, tell
 
 # each has a module of its name in esd.experiments, whose `run` measures, and a function
 # NAME_figures in esd.viewing.experiments, which draws
@@ -36,7 +37,9 @@ def reproduce(
             "for 'transfer' several times.",
         ),
     ],
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder to write.")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="DIR", help="Folder to write.")
+    ] = Path("reproduced"),
     test: Annotated[
         str | None,
         typer.Option(
@@ -50,11 +53,12 @@ def reproduce(
     ] = 10,
     quick: Annotated[bool, typer.Option("--quick", help="A coarse answer, soon.")] = False,
     seed: Annotated[int, typer.Option(min=0, help="Of all that is random.")] = 0,
+    force: ForceOption = False,
 ) -> None:
     """Repeat an experiment of the paper: figures, CSV tables and report.md, in DIR/EXPERIMENT.
 
-    What is finished is kept in DIR/parts and DIR/models: an interrupted experiment goes on when
-    the command is given again, and several experiments share their trainings.
+    What is finished is kept in DIR/parts and DIR/models: an interrupted experiment resumes
+    when rerun, and several experiments share their trainings.
     """
     import shlex
     import sys
@@ -62,7 +66,6 @@ def reproduce(
     from importlib import import_module
 
     from esd.cli.progress import progress
-    from esd.common import InputError
     from esd.datasets.open import open_collection
     from esd.datasets.splits import sample_by_subject, sample_subjects, unseen_subjects
     from esd.experiments.report import write_report
@@ -73,10 +76,13 @@ def reproduce(
     from esd.viewing.figures import save_figure
 
     if (len(data) > 1) != (experiment.value == "transfer"):
-        raise InputError("'transfer' takes --data several times, the other experiments once.")
+        raise typer.BadParameter(
+            "'transfer' takes --data several times, the other experiments once."
+        )
     start = time.perf_counter()
     folder = output / experiment.value
-    folder.mkdir(parents=True, exist_ok=True)
+    destination(folder, force=force, inputs=data, is_folder=True)
+    destination(output / "parts", force=True, inputs=data, is_folder=True)
     settings = []
     for name in data:
         collection = sample_by_subject(open_collection(name), per_subject, seed=seed)
@@ -98,6 +104,7 @@ def reproduce(
                 progress=progress,
             )
         )
+    folder.mkdir(parents=True, exist_ok=True)
     outcome = import_module(f"esd.experiments.{experiment.value}").run(*settings)
     figures = getattr(drawing, f"{experiment.value}_figures")(outcome)
     for name, figure in figures.items():

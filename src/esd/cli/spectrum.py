@@ -10,7 +10,8 @@ import typer
 
 from esd.cli.doctor import tell_findings
 from esd.cli.options import ForceOption
-from esd.cli.output import free_path, tell
+from esd.cli.output import about, destination, tell
+from esd.cli.progress import progress
 
 
 class Operator(str, Enum):
@@ -21,14 +22,14 @@ class Operator(str, Enum):
 
 
 def spectrum(
-    mesh: Annotated[Path, typer.Argument(help="A mesh file.")],
+    mesh: Annotated[Path, typer.Argument(metavar="MESH", help="A mesh file.")],
     output: Annotated[
         Path | None,
         typer.Option(
             "--output", "-o", metavar="FILE", help="Ends in .npz; by default MESH-spectrum.npz."
         ),
     ] = None,
-    k: Annotated[int, typer.Option("-k", help="Number of eigenpairs.")] = 300,
+    k: Annotated[int, typer.Option("-k", min=1, help="Number of eigenpairs.")] = 300,
     laplacian: Annotated[
         Operator, typer.Option(help="Cotangent, or robust for meshes with slivers.")
     ] = Operator.cotangent,
@@ -36,6 +37,7 @@ def spectrum(
         int | None,
         typer.Option(
             metavar="N",
+            min=300,
             help="For dense meshes: about the eigenpairs, by those of a copy of about N vertices.",
             show_default=False,
         ),
@@ -53,15 +55,17 @@ def spectrum(
     from esd.spectral.spectrum import check_spectrum_path, save_spectrum
     from esd.spectral.spectrum import spectrum as compute
 
-    path = free_path(check_spectrum_path(output or Path(f"{mesh.stem}-spectrum.npz")), force=force)
-    shape = repair(mesh, all_pieces=True)
+    path = check_spectrum_path(output or Path(f"{mesh.stem}-spectrum.npz"))
+    destination(path, force=force, inputs=[mesh])
     options: dict[str, Any] = {"kind": laplacian.value, "cache": default_cache()}
-    if coarse is None:
-        pairs = compute(shape.shape, k, **options)
-    else:
-        pairs = coarse_spectrum(shape.shape, k, vertex_count=coarse, **options)
-    pairs = pairs.carried(shape.vertex_index)
+    with about(mesh), progress("computing"):
+        shape = repair(mesh, all_pieces=True)
+        if coarse is None:
+            eigenpairs = compute(shape.shape, k, **options)
+        else:
+            eigenpairs = coarse_spectrum(shape.shape, k, vertex_count=coarse, **options)
+    eigenpairs = eigenpairs.carried(shape.vertex_index)
     tell_findings(mesh, shape)
-    save_spectrum(pairs, path)
-    values = pairs.eigenvalues
+    save_spectrum(eigenpairs, path)
+    values = eigenpairs.eigenvalues
     tell(f"{len(values)} eigenvalues from {values[0]:g} to {values[-1]:g}; {path}")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from esd.cli.options import DatasetArgument, ForceOption
-from esd.cli.output import free_path, tell
+from esd.cli.output import destination, tell
 from esd.common import InputError
 
 if TYPE_CHECKING:
@@ -23,8 +23,11 @@ _JUDGED = 12  # maps by which a training without correspondences is judged
 def train(
     dataset: DatasetArgument,
     output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="MODEL", help="Folder to write the model to.")
-    ],
+        Path | None,
+        typer.Option(
+            "--output", "-o", metavar="MODEL", help="Folder to write; by default named as PRESET."
+        ),
+    ] = None,
     preset: Annotated[
         str,
         typer.Option(
@@ -81,14 +84,15 @@ def train(
     if log:
         parts = tuple(replace(part, log=True) for part in training.recipe.descriptors)
         training = replace(training, recipe=replace(training.recipe, descriptors=parts))
+    if validation and hold_out:
+        raise typer.BadParameter("Give --validation or --hold-out, not both.")
+    output = output or Path(preset)
     check_model_destination(output)
-    free_path(output, force=force)
+    destination(output, force=force, inputs=[dataset], is_folder=True)
     whole = open_collection(dataset)
     chosen = whole.including(include) if include else whole
     chosen = chosen.excluding_subjects(whole.testing_subjects)
     held = None
-    if validation and hold_out:
-        raise typer.BadParameter("Give --validation or --hold-out, not both.")
     if validation:
         held = whole.including(validation)
         chosen = chosen.excluding_subjects(held.subjects)

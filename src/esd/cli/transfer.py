@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from esd.cli.options import ForceOption, MapArgument, SourceArgument, TargetArgument
-from esd.cli.output import free_path, tell
+from esd.cli.output import about, destination, tell
+from esd.cli.progress import progress
 
 if TYPE_CHECKING:
     from esd.matching.correspondence import Correspondence
-    from esd.mesh.mesh import Mesh
+    from esd.mesh.mesh import Mesh, PointCloud
 
 
 class Method(str, Enum):
@@ -58,13 +59,12 @@ def transfer(
     ] = Method.barycentric,
     force: ForceOption = False,
 ) -> None:
-    """Carry what you have on SOURCE to TARGET, along a map from SOURCE to TARGET.
+    """Transfer data on SOURCE to TARGET, along a map from SOURCE to TARGET.
 
     Give one of --texture, --vertex-colors, --labels, --values, --landmarks and --morph.
     """
-    from esd.common import InputError
     from esd.matching.correspondence import load_map
-    from esd.mesh.convert import as_mesh
+    from esd.mesh.convert import as_arrays
 
     wanted = {
         "texture": texture,
@@ -76,98 +76,138 @@ def transfer(
     }
     chosen = [name for name, value in wanted.items() if value]
     if len(chosen) != 1:
-        raise InputError(
+        raise typer.BadParameter(
             "Give one of --texture, --vertex-colors, --labels, --values, --landmarks and --morph."
         )
+    what = chosen[0]
     given = labels or values
     suffix = {"texture": ".obj", "colours": ".ply", "landmarks": ".csv", "morph": ""}.get(
-        chosen[0], given.suffix if given else ""
+        what, given.suffix if given else ""
     )
-    path = free_path(output or Path(f"{target.stem}-{chosen[0]}{suffix}"), force=force)
-    meshes = as_mesh(source), as_mesh(target)
-    match = load_map(
-        map, source_count=len(meshes[0].vertices), target_count=len(meshes[1].vertices)
-    )
-    if landmarks:
-        _transfer_landmarks(landmarks, meshes, match, path)
-    elif morph:
-        _write_morph(meshes, match, path, morph)
-    elif texture:
-        _transfer_texture(source, meshes, match, path)
-    else:
-        _transfer_fields(source, labels, values, meshes, match, path, method)
+    path = output or Path(f"{target.stem}-{what}{suffix}")
+    _check_destination(path, what, [source, target, map, *filter(None, (given, landmarks))], force)
+    with progress("transferring"):
+        counts = []
+        for file in (source, target):
+            with about(file):
+                counts.append(len(as_arrays(file)[0]))
+        match = load_map(map, source_count=counts[0], target_count=counts[1])
+        if landmarks:
+            _transfer_landmarks(landmarks, source, target, match, path)
+        elif morph:
+            _write_morph(source, target, match, path, morph)
+        elif texture:
+            _transfer_texture(source, target, match, path)
+        else:
+            _transfer_fields(source, target, labels, values, match, path, method)
     tell(f"written to {path}")
 
 
+def _check_destination(path: Path, what: str, inputs: list[Path], force: bool) -> None:
+    """Refuse a wrong suffix, and to write on an input or a file that exists, before any work."""
+    from esd.common import InputError
+    from esd.mesh.io.attributes import TEXTURE_FORMATS
+    from esd.mesh.io.landmarks import LANDMARK_FORMATS
+
+    suffixes = {
+        "texture": TEXTURE_FORMATS,
+        "colours": (".ply", ".glb"),
+        "landmarks": tuple(LANDMARK_FORMATS),
+        "labels": (".npy", ".csv", ".txt"),
+        "values": (".npy", ".csv", ".txt"),
+    }
+    if what in suffixes and not path.name.lower().endswith(suffixes[what]):
+        raise InputError(f"'{path}': {what} are written to {', '.join(suffixes[what])}.")
+    destination(path, force=force, inputs=inputs, is_folder=what == "morph")
+    if what == "texture" and path.suffix.lower() == ".obj":
+        beside = [inputs[0].with_suffix(suffix) for suffix in (".mtl", ".png")]
+        for suffix in (".mtl", ".png"):
+            destination(path.with_suffix(suffix), force=force, inputs=[*inputs, *beside])
+
+
 def _transfer_landmarks(
-    file: Path, meshes: tuple[Mesh, Mesh], match: Correspondence, path: Path
+    file: Path, source: Path, target: Path, match: Correspondence, path: Path
 ) -> None:
     from dataclasses import replace
 
-    from esd.matching.transfer import carried_landmarks
+    from esd.matching.along import transfer as along
     from esd.mesh.io.landmarks import read_landmarks, write_landmarks
 
-    landmarks = read_landmarks(file, meshes[0])
-    carried = replace(landmarks, vertices=carried_landmarks(landmarks.vertices, match))
-    write_landmarks(carried, meshes[1], path)
+    landmarks = read_landmarks(file, _vertices(source))
+    carried = along(landmarks.vertices, source, target, match, kind="landmarks")
+    write_landmarks(replace(landmarks, vertices=carried), _vertices(target), path)
+
+
+def _vertices(path: Path) -> Mesh | PointCloud:
+    """The shape in a file with all its vertices, drawable or not."""
+    from esd.mesh.convert import as_arrays
+    from esd.mesh.mesh import PointCloud
+    from esd.mesh.repair.repair import usable_part
+
+    vertices, faces = as_arrays(path)
+    return usable_part(path) if len(faces) else PointCloud(vertices)
 
 
 def _write_morph(
-    meshes: tuple[Mesh, Mesh], match: Correspondence, folder: Path, count: int
+    source: Path, target: Path, match: Correspondence, folder: Path, count: int
 ) -> None:
     from esd.matching.transfer import in_between
     from esd.mesh.io.meshes import write_mesh
+    from esd.mesh.repair.repair import usable_part
 
-    shapes = in_between(*meshes, match, count=count)
-    folder.mkdir(exist_ok=True)
+    meshes = []
+    for file in (source, target):
+        with about(file):
+            meshes.append(usable_part(file))
+    shapes = in_between(meshes[0], meshes[1], match, count=count)
     for i, shape in enumerate(shapes):
         write_mesh(shape, folder / f"{i:0{len(str(count - 1))}d}.ply")
 
 
-def _transfer_texture(
-    source: Path, meshes: tuple[Mesh, Mesh], match: Correspondence, path: Path
-) -> None:
+def _transfer_texture(source: Path, target: Path, match: Correspondence, path: Path) -> None:
     from dataclasses import replace
 
-    from esd.matching.transfer import carried_texture
+    from esd.matching.along import transferred_texture
     from esd.mesh.io.attributes import read_texture, write_textured
+    from esd.mesh.repair.repair import usable_part
 
     texture = read_texture(source)
-    coordinates = carried_texture(texture.coordinates, *meshes, match)
-    write_textured(meshes[1], replace(texture, coordinates=coordinates), path)
+    with about(target):
+        mesh = usable_part(target)
+    coordinates = transferred_texture(texture.coordinates, source, mesh, match)
+    write_textured(mesh, replace(texture, coordinates=coordinates), path)
 
 
 def _transfer_fields(
     source: Path,
+    target: Path,
     labels: Path | None,
     values: Path | None,
-    meshes: tuple[Mesh, Mesh],
     match: Correspondence,
     path: Path,
     method: Method,
 ) -> None:
     import numpy as np
 
-    from esd.matching import transfer as along
+    from esd.matching.along import transfer as along
     from esd.mesh.io.attributes import read_vertex_colours, write_coloured
     from esd.mesh.io.fields import read_labels, read_values, write_labels, write_values
+    from esd.mesh.repair.repair import usable_part
 
-    source_mesh, target_mesh = meshes
     if labels:
         marks, names = read_labels(labels)
-        if len(marks) == len(source_mesh.faces) != len(source_mesh.vertices):
-            places = along.face_places(*meshes, match, method=method.value)
-            marks = along.carried_face_labels(marks, source_mesh, places)
-        else:
-            places = along.vertex_places(*meshes, match, method=method.value)
-            marks = along.carried_labels(marks, source_mesh, places)
-        write_labels(marks, path, names)
-        return
-    places = along.vertex_places(*meshes, match, method=method.value)
-    if values:
-        write_values(along.carried_values(read_values(values), source_mesh, places), path)
+        with about(labels):
+            carried = along(marks, source, target, match, kind="labels", method=method.value)
+        write_labels(carried, path, names)
+    elif values:
+        known = read_values(values)
+        with about(values):
+            carried = along(known, source, target, match, kind="values", method=method.value)
+        write_values(carried, path)
     else:
-        colours = along.carried_values(
-            read_vertex_colours(source).astype(float), source_mesh, places
+        with about(target):
+            mesh = usable_part(target)
+        colours = along(
+            read_vertex_colours(source), source, target, match, kind="values", method=method.value
         )
-        write_coloured(target_mesh, np.round(np.nan_to_num(colours)).astype(np.uint8), path)
+        write_coloured(mesh, np.round(np.nan_to_num(colours)).astype(np.uint8), path)

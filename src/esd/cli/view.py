@@ -15,7 +15,7 @@ from esd.cli.options import (
     TargetArgument,
     TruthOption,
 )
-from esd.cli.output import free_path, tell
+from esd.cli.output import destination, tell
 
 if TYPE_CHECKING:
     from esd.common import FloatArray
@@ -47,8 +47,13 @@ def view(
     from esd.mesh.repair.repair import usable_part
     from esd.viewing.page import check_page_path
 
-    path = free_path(output or Path(f"{source.stem}-{target.stem}.html"), force=force)
-    check_page_path(path)
+    path = check_page_path(output or Path(f"{source.stem}-{target.stem}.html"))
+    inputs = [source, target, map, *([truth] if truth else []), *(points or ())]
+    destination(path, force=force, inputs=inputs)
+    if truth and points:
+        raise typer.BadParameter("Give --truth or --points, not both.")
+    if up not in (None, "x", "y", "z"):
+        raise typer.BadParameter(f"--up takes x, y or z; got '{up}'.")
     source_mesh, target_mesh = usable_part(source), usable_part(target)
     counts = {
         "source_count": len(source_mesh.vertices),
@@ -91,8 +96,6 @@ def true_error(
     from esd.evaluation.errors import true_map, vertex_errors
     from esd.matching.correspondence import load_map
 
-    if truth and points:
-        raise typer.BadParameter("Give --truth or --points, not both.")
     counts = {"source_count": len(source.vertices), "target_count": len(target.vertices)}
     if truth:
         known = load_map(truth, **counts).target_index

@@ -75,6 +75,10 @@ class Collection:
     testing_subjects: tuple[str, ...] = ()
     store: Path | None = None
 
+    def __repr__(self) -> str:
+        count = f"{len(self.shapes)} shapes of {len(self.subjects)} subjects"
+        return f"<Collection '{self.name}': {count}>"
+
     def __getitem__(self, name: str) -> Shape:
         """The shape of a name.
 

@@ -42,7 +42,8 @@ _LARGEST_FILE = 2**30
 _LARGEST_CONFIG = 2**26
 _ROWS = 2**14  # embedded at a time, for the memory that dense meshes take
 _BUNDLED = Path(__file__).parent / "models"
-_ALIASES = {"default": "oriented"}
+ALIASES = {"default": "oriented"}
+"""Other names of bundled models."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,6 +103,10 @@ class Model:
     patches: Patches | None = None
     card: Mapping[str, Any] = field(default_factory=dict)
     device: str = "cpu"
+
+    def __repr__(self) -> str:
+        parts = ", ".join(f"{part.kind} ({part.count})" for part in self.recipe.descriptors)
+        return f"<Model '{self.name}' of {parts}>"
 
     @property
     def is_oriented(self) -> bool:
@@ -231,10 +236,10 @@ def load_model(model: str | os.PathLike[str], *, device: str = "cpu") -> Model:
     if not folder.exists():
         if str(model) in DESCRIPTOR_KINDS:
             return replace(raw_model(str(model)), device=device)
-        name = _ALIASES.get(str(model), str(model))
+        name = ALIASES.get(str(model), str(model))
         folder = _BUNDLED / name if Path(name).name == name else folder
     if not (folder / "config.json").is_file():
-        known = ", ".join([*_ALIASES, *bundled_models(), *DESCRIPTOR_KINDS])
+        known = ", ".join([*ALIASES, *bundled_models(), *DESCRIPTOR_KINDS])
         raise InputError(f"There is no model '{model}': expected a model folder or one of {known}.")
     config = _read_config(folder / "config.json")
     weights = _read_weights(folder / "model.safetensors")

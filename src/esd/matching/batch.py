@@ -115,6 +115,7 @@ def match_files(
     mirror: Mirror = "auto",
     one_to_one: bool = False,
     reject: bool = False,
+    min_confidence: float = 0.0,
     everything: bool = False,
     coarse: int | None = None,
     full: bool = False,
@@ -132,6 +133,8 @@ def match_files(
         See `esd.matching.match.match`.
     reject
         Whether matches beyond the model's threshold are dropped.
+    min_confidence
+        Matches of less confidence are dropped.
     everything
         See `esd.mesh.doctor.repair`.
     coarse, full
@@ -179,6 +182,7 @@ def match_files(
             mirror=mirror,
             one_to_one=one_to_one,
             threshold=threshold,
+            min_confidence=min_confidence,
         )
         for matched in outcomes(work, sound, workers=workers):
             on_step()
@@ -215,17 +219,22 @@ def _match(
     mirror: Mirror,
     one_to_one: bool,
     threshold: float,
+    min_confidence: float,
 ) -> MatchedPair:
     source, target = load_features(places[pair.source]), load_features(places[pair.target])
-    found = match_features(
-        source,
-        target,
-        model=model,
-        refine=refine,
-        candidates=candidates,
-        mirror=mirror,
-        one_to_one=one_to_one,
-    ).rejecting(threshold)
+    found = (
+        match_features(
+            source,
+            target,
+            model=model,
+            refine=refine,
+            candidates=candidates,
+            mirror=mirror,
+            one_to_one=one_to_one,
+        )
+        .rejecting(threshold)
+        .confident(min_confidence)
+    )
     save_map(found, pair.output)
     judged = found.judgement
     return MatchedPair(

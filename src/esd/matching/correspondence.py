@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import logging
 import os
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,6 +15,8 @@ import numpy.typing as npt
 
 from esd.common import BoolArray, FloatArray, InputError, IntArray, whole_file
 from esd.matching.confidence import Judgement
+
+_log = logging.getLogger(__name__)
 
 MAP_SUFFIXES = (".csv", ".npy", ".txt", ".vts")
 """Suffixes of the files that hold a map."""
@@ -45,7 +48,22 @@ class Correspondence:
 
     def rejecting(self, squared_distance: float) -> Correspondence:
         """The map without the matches whose squared distance is larger."""
-        keep = self.distance**2 <= squared_distance
+        return self._keeping(self.distance**2 <= squared_distance)
+
+    def confident(self, least: float) -> Correspondence:
+        """The map without the matches of less confidence; those whose confidence is NaN stay."""
+        return self._keeping(~(self.confidence < least))
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the map, see `save_map`."""
+        save_map(self, path)
+
+    def __repr__(self) -> str:
+        count = len(self.target_index)
+        verdict = f", {self.judgement.verdict}" if self.judgement else ""
+        return f"<Correspondence: {self.is_matched().sum()} of {count} vertices matched{verdict}>"
+
+    def _keeping(self, keep: BoolArray) -> Correspondence:
         return replace(
             self,
             target_index=np.where(keep, self.target_index, -1),
@@ -131,16 +149,20 @@ def save_map(match: Correspondence, path: str | os.PathLike[str]) -> None:
 
 
 def load_map(
-    path: str | os.PathLike[str], *, source_count: int, target_count: int
+    path: str | os.PathLike[str],
+    *,
+    source_count: int | None = None,
+    target_count: int | None = None,
 ) -> Correspondence:
     """The map in a file that `save_map` wrote, or another program in the same format.
 
-    Distances and confidences that a format does not hold are NaN.
+    Distances and confidences that a format does not hold are NaN. Lines of a `.csv` file may be in
+    any order.
 
     Parameters
     ----------
     source_count, target_count
-        Vertices of the two meshes, to which the map must fit.
+        Vertices of the two meshes, to which the map must fit; by default they are not checked.
 
     Raises
     ------
@@ -152,35 +174,41 @@ def load_map(
         raise InputError(f"There is no file '{path}'.")
     try:
         index, distance, confidence = _parse(path)
-    except (ValueError, OSError, KeyError, EOFError, OverflowError) as error:
+    except InputError as error:
         raise InputError(f"'{path}' holds no map: {error}.") from error
-    if len(index) != source_count:
+    except (ValueError, OSError, KeyError, EOFError, OverflowError, csv.Error) as error:
+        raise InputError(f"'{path}' holds no map: {' '.join(str(error).split())}.") from error
+    if source_count is not None and len(index) != source_count:
         raise InputError(
             f"'{path}' maps {len(index)} vertices; the source mesh has {source_count}."
         )
-    beyond = index[(index < -1) | (index >= target_count)]
-    if len(beyond):
+    is_text = path.suffix.lower() in (".txt", ".vts")
+    below = index[index < -1]
+    if len(below):
         raise InputError(
-            f"'{path}' names target vertex {beyond[0]} (from 0); "
-            f"the target mesh has {target_count} vertices."
+            f"'{path}' names target vertex {below[0] + is_text}; expected {0 if is_text else -1} "
+            "for a vertex without a match, or more."
         )
+    if target_count is not None:
+        beyond = index[index >= target_count]
+        if len(beyond):
+            raise InputError(
+                f"'{path}' names target vertex {beyond[0]} (from 0); "
+                f"the target mesh has {target_count} vertices."
+            )
+        if is_text and (index == -1).any() and not (index == target_count - 1).any():
+            _log.warning(
+                "'%s' holds zeros, which mean no match, and never the last vertex: if it counts "
+                "vertices from 0 and not from 1, save it as .csv or .npy.",
+                path,
+            )
     return Correspondence(index, distance, confidence)
 
 
 def _parse(path: Path) -> tuple[IntArray, FloatArray, FloatArray]:
     suffix = path.suffix.lower()
     if suffix == ".csv":
-        with path.open(newline="", encoding="utf-8") as file:
-            rows = list(csv.DictReader(file))
-        if not rows or not {"source", "target"} <= set(rows[0]):
-            raise InputError("expected the columns source,target,distance,confidence")
-        index = np.full(len(rows), -1, dtype=np.int64)
-        index[np.array([int(row["source"]) for row in rows])] = [int(r["target"]) for r in rows]
-        distance, confidence = (
-            np.array([float(row.get(column) or "nan") for row in rows])
-            for column in ("distance", "confidence")
-        )
-        return index, distance, confidence
+        return _parse_table(path)
     if suffix == ".npy":
         # mapped, so that a head which promises more than the file holds costs nothing
         array = np.load(path, mmap_mode="r", allow_pickle=False)
@@ -188,5 +216,49 @@ def _parse(path: Path) -> tuple[IntArray, FloatArray, FloatArray]:
             raise InputError(f"expected integers of shape (n,), got {array.dtype} {array.shape}")
         index = array.astype(np.int64)
     else:
-        index = np.array(path.read_text(encoding="ascii").split(), dtype=np.int64) - 1
+        index = np.array(_whole_text(path).split(), dtype=np.int64) - 1
+    if len(index) == 0:
+        raise InputError("it is empty")
     return index, np.full(len(index), np.nan), np.full(len(index), np.nan)
+
+
+def _whole_text(path: Path) -> str:
+    """The text of a file, if its last line is whole."""
+    text = path.read_text(encoding="utf-8-sig")
+    if not text.strip():
+        raise InputError("it is empty")
+    if not text.endswith(("\n", "\r")):
+        raise InputError("its last line has no line break: add one, if it is not cut short")
+    return text
+
+
+def _parse_table(path: Path) -> tuple[IntArray, FloatArray, FloatArray]:
+    """The columns of a `.csv` file in the order of the source vertices."""
+    rows = list(csv.DictReader(io.StringIO(_whole_text(path)), skipinitialspace=True))
+    if not rows or not {"source", "target"} <= set(rows[0]):
+        raise InputError("expected the columns source,target,distance,confidence")
+    source, target, distance, confidence = [], [], [], []
+    try:
+        for row in rows:
+            source.append(int(row["source"]))
+            target.append(int(row["target"]))
+            distance.append(float(row.get("distance") or "nan"))
+            confidence.append(float(row.get("confidence") or "nan"))
+    except (TypeError, ValueError) as error:
+        # line 1 holds the names of the columns; the last list grows only with whole lines
+        raise InputError(f"line {len(confidence) + 2}: {error}") from error
+    order = np.argsort(np.array(source, dtype=np.int64), kind="stable")
+    found = np.array(source, dtype=np.int64)[order]
+    wrong = np.flatnonzero(found != np.arange(len(found)))
+    if len(wrong):
+        at = int(wrong[0])  # those before are 0, 1, 2, …: this one is repeated, or skips some
+        fault = f"{found[at]} has two lines" if found[at] < at else f"{at} has no line"
+        if found[at] < 0:
+            fault = f"{found[at]} is none"
+        raise InputError(f"source vertex {fault}; expected one line for each, from 0 on")
+    # row order[i] is that of source vertex i
+    return (
+        np.array(target, dtype=np.int64)[order],
+        np.array(distance)[order],
+        np.array(confidence)[order],
+    )

@@ -1,4 +1,4 @@
-"""Carrying what people have on one shape to another along a map, and shapes between the two."""
+"""Transferring vertex and face data along a correspondence, and shapes between the two."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def vertex_places(
         If the map does not fit the meshes, or has no match.
     """
     vertices = np.arange(len(target.vertices))
-    return _places(source, target, match, target.vertices, vertices[:, None], method)
+    return places_of_points(source, target, match, target.vertices, vertices[:, None], method)
 
 
 def face_places(
@@ -63,7 +63,7 @@ def face_places(
 ) -> Places:
     """The place on the source of the middle of each face of the target; see `vertex_places`."""
     middle = target.vertices[target.faces].mean(axis=1)
-    return _places(source, target, match, middle, target.faces, method)
+    return places_of_points(source, target, match, middle, target.faces, method)
 
 
 def carried_values(values: FloatArray, source: Mesh, places: Places) -> FloatArray:
@@ -210,7 +210,7 @@ def in_between(
     return tuple(Mesh((1 - t) * source.vertices + t * image, source.faces) for t in shares)
 
 
-def _places(
+def places_of_points(
     source: Mesh,
     target: Mesh,
     match: Correspondence,

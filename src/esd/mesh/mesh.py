@@ -36,6 +36,9 @@ class Mesh:
         object.__setattr__(self, "vertices", _checked_vertices(self.vertices))
         object.__setattr__(self, "faces", _checked_faces(self.faces, len(self.vertices)))
 
+    def __repr__(self) -> str:
+        return f"<Mesh of {len(self.vertices)} vertices and {len(self.faces)} faces>"
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PointCloud:
@@ -56,6 +59,9 @@ class PointCloud:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "vertices", _checked_vertices(self.vertices))
+
+    def __repr__(self) -> str:
+        return f"<PointCloud of {len(self.vertices)} points>"
 
 
 def _checked_vertices(vertices: npt.ArrayLike) -> npt.NDArray[np.float64]:

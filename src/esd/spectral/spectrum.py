@@ -47,6 +47,10 @@ class Spectrum:
     mass: FloatArray
     zero_modes: int
 
+    def __repr__(self) -> str:
+        n, k = self.eigenvectors.shape
+        return f"<Spectrum of {k} eigenpairs at {n} vertices>"
+
     @property
     def area(self) -> float:
         """Area of the surface: the sum of the mass; one unless it was rescaled."""

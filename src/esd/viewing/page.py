@@ -42,6 +42,9 @@ class Page:
         with whole_file(path) as temporary:
             temporary.write_text(self.html, encoding="utf-8")
 
+    def __repr__(self) -> str:
+        return f"<Page of {len(self.html) / 1e6:.1f} MB; save it, or show it in a notebook>"
+
     def _repr_html_(self) -> str:
         escaped = self.html.replace("&", "&amp;").replace('"', "&quot;")
         frame = 'style="width: 100%; height: 560px; border: 0"'

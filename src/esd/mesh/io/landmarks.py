@@ -17,7 +17,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from esd.common import FloatArray, InputError, IntArray, whole_file
-from esd.mesh.mesh import Mesh
+from esd.mesh.mesh import Mesh, PointCloud
 
 _TOLERANCE = 0.05  # of the bounding diagonal: a click is off by this much at most
 _UNITS = {
@@ -64,7 +64,7 @@ class _Row(NamedTuple):
     vertex: int | None = None
 
 
-def read_landmarks(path: str | os.PathLike[str], mesh: Mesh) -> Landmarks:
+def read_landmarks(path: str | os.PathLike[str], mesh: Mesh | PointCloud) -> Landmarks:
     """Landmarks of a mesh, in a file of one of `LANDMARK_FORMATS`.
 
     A `.csv` file has the columns `name` and `vertex`, from 0, or `name`, `x`, `y` and `z`. Of
@@ -111,7 +111,9 @@ def read_landmarks(path: str | os.PathLike[str], mesh: Mesh) -> Landmarks:
     return Landmarks(tuple(row.name for row in rows), vertices)
 
 
-def write_landmarks(landmarks: Landmarks, mesh: Mesh, path: str | os.PathLike[str]) -> None:
+def write_landmarks(
+    landmarks: Landmarks, mesh: Mesh | PointCloud, path: str | os.PathLike[str]
+) -> None:
     """Write landmarks in the format of the suffix, one of `LANDMARK_FORMATS`.
 
     CSV has the columns `name,vertex,x,y,z`. A missing landmark has empty cells in CSV, NaN in
@@ -144,14 +146,17 @@ def _format(path: Path) -> str:
     raise InputError(f"'{path}': landmarks are in files whose names end in {known}.")
 
 
-def _nearest_vertices(points: FloatArray, names: list[str], mesh: Mesh, path: Path) -> IntArray:
+def _nearest_vertices(
+    points: FloatArray, names: list[str], mesh: Mesh | PointCloud, path: Path
+) -> IntArray:
     """The vertex nearest to each point, if the points are near the surface."""
-    used = np.unique(mesh.faces)
+    faces = mesh.faces if isinstance(mesh, Mesh) else np.zeros((0, 3), dtype=np.int64)
+    used = np.unique(faces) if len(faces) else np.arange(len(mesh.vertices))
     corners = mesh.vertices[used]
     diagonal = float(np.linalg.norm(np.ptp(corners, axis=0)))
     edge = np.zeros(len(mesh.vertices))
     for side in ((0, 1), (1, 2), (2, 0)):
-        ends = mesh.faces[:, side]
+        ends = faces[:, side]
         length = np.linalg.norm(np.subtract(*mesh.vertices[ends.T]), axis=1)
         for column in ends.T:
             np.maximum.at(edge, column, length)

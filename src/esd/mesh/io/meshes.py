@@ -106,11 +106,8 @@ def write_mesh(mesh: Mesh, path: str | os.PathLike[str]) -> None:
     """
     import trimesh
 
-    path = Path(path)
+    path = check_mesh_path(path)
     suffix = path.suffix.lower()
-    if suffix not in FORMATS or suffix == ".gltf":  # .gltf scatters over several files
-        written = ", ".join(name for name in FORMATS if name != ".gltf")
-        raise InputError(f"'{path}': expected a suffix among {written}.")
     if suffix == ".ply":
         content = _ply(mesh)
     else:
@@ -119,6 +116,16 @@ def write_mesh(mesh: Mesh, path: str | os.PathLike[str]) -> None:
         content = surface.export(file_type=suffix[1:], **options)
     with whole_file(path) as temporary:
         temporary.write_bytes(content if isinstance(content, bytes) else content.encode())
+
+
+def check_mesh_path(path: str | os.PathLike[str]) -> Path:
+    """The path, if a mesh can be written to it; raises an `InputError` otherwise."""
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in FORMATS or suffix == ".gltf":  # .gltf scatters over several files
+        written = ", ".join(name for name in FORMATS if name != ".gltf")
+        raise InputError(f"'{path}': expected a suffix among {written}.")
+    return path
 
 
 def _ply(mesh: Mesh) -> bytes:

@@ -1,0 +1,87 @@
+import logging
+
+import numpy as np
+import pytest
+
+from esd.common import InputError
+from esd.matching.correspondence import Correspondence, load_map, save_map
+
+MATCH = Correspondence(
+    np.array([2, -1, 0]), np.array([0.5, np.inf, 0.0]), np.array([0.9, 0.0, 1.0])
+)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".npy", ".txt", ".vts"])
+def test_a_map_comes_back_with_its_path_alone(tmp_path, suffix):
+    path = tmp_path / f"m{suffix}"
+    MATCH.save(path)
+    np.testing.assert_array_equal(load_map(path).target_index, MATCH.target_index)
+
+
+def test_lines_in_any_order_keep_their_distances_and_confidences(tmp_path):
+    path = tmp_path / "m.csv"
+    save_map(MATCH, path)
+    head, *lines = path.read_text().splitlines()
+    path.write_text("\n".join([head, *lines[::-1], ""]))
+    found = load_map(path, source_count=3, target_count=3)
+    for name in ("target_index", "distance", "confidence"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(MATCH, name))
+
+
+HEAD = "source,target,distance,confidence\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("m.csv", HEAD + "0,1,0,1\n0,1,0,1\n2,0,0,1\n", "source vertex 0 has two lines"),
+        ("m.csv", HEAD + "0,1,0,1\n2,1,0,1\n3,0,0,1\n", "source vertex 1 has no line"),
+        ("m.csv", HEAD + "-1,1,0,1\n0,1,0,1\n1,0,0,1\n", "source vertex -1 is none"),
+        (
+            "m.csv",
+            HEAD + "0,-5000,0,1\n1,1,0,1\n2,0,0,1\n",
+            "names target vertex -5000; expected -1",
+        ),
+        ("m.csv", HEAD + "0,6000,0,1\n1,1,0,1\n2,0,0,1\n", "names target vertex 6000"),
+        ("m.csv", HEAD + "0,1,0,1\n1,1,0,1\n2,0", "no line break: add one, if it is not cut short"),
+        ("m.csv", HEAD + "0,1,0,1\n1\n2,0,0,1\n", "line 3: int"),
+        ("m.csv", HEAD + "0,1,0,1\n1,one,0,1\n2,0,0,1\n", "line 3: invalid literal"),
+        ("m.csv", HEAD + "0,1,near,1\n1,1,0,1\n2,0,0,1\n", "line 2: could not convert"),
+        ("m.csv", HEAD + f"0,{10**30},0,1\n1,1,0,1\n2,0,0,1\n", "holds no map"),
+        ("m.csv", "a,b\n1,2\n", "expected the columns source,target"),
+        ("m.csv", HEAD, "expected the columns source,target"),
+        ("m.csv", "", "it is empty"),
+        ("m.csv", "\xff\xfe\n", "holds no map"),
+        ("m.txt", "1\n2\n3", "no line break"),
+        ("m.txt", "1\n2\n-7\n", "names target vertex -7; expected 0"),
+        ("m.txt", "1\n2\n4\n", "names target vertex 3 "),
+        ("m.txt", "1\n2\n", "maps 2 vertices; the source mesh has 3"),
+        ("m.txt", "1\n2\n3.5\n", "holds no map"),
+        ("m.vts", " \n", "it is empty"),
+        ("m.xyz", "1\n", "a map's file ends in"),
+    ],
+)
+def test_damaged_maps_are_refused(tmp_path, name, content, message):
+    path = tmp_path / name
+    path.write_bytes(content.encode("latin-1"))
+    with pytest.raises(InputError, match=message):
+        load_map(path, source_count=3, target_count=3)
+
+
+def test_a_map_that_may_count_from_zero_is_reported(tmp_path, caplog):
+    path = tmp_path / "m.txt"
+    path.write_text("0\n1\n2\n")
+    with caplog.at_level(logging.WARNING):
+        load_map(path, source_count=3, target_count=3)
+    assert "if it counts vertices from 0 and not from 1" in caplog.text
+    caplog.clear()
+    path.write_text("0\n1\n3\n")
+    load_map(path, source_count=3, target_count=3)
+    assert caplog.text == ""
+
+
+def test_it_shows_itself_in_a_line_and_drops_what_is_not_sure(blob):
+    assert repr(MATCH) == "<Correspondence: 2 of 3 vertices matched>"
+    assert MATCH.confident(0.95).target_index.tolist() == [-1, -1, 0]
+    unknown = Correspondence(np.array([1]), np.array([np.nan]), np.array([np.nan]))
+    assert unknown.confident(0.5).target_index.tolist() == [1]
