@@ -37,7 +37,7 @@ def figures(model: Model, collection: Collection, *, refine: bool) -> str:
     symmetric = result.symmetric_mean_geodesic_error_x100
     return (
         f"{result.mean_geodesic_error_x100:.2f} mean geodesic error x 100 / √area, "
-        + ("" if symmetric is None else f"{symmetric:.2f} up to left and right, ")
+        + ("" if symmetric is None else f"{symmetric:.2f} symmetry-aware, ")
         + f"{result.accuracy_5pct_diameter:.1%} within 5 % of the diameter ({result.pairs} pairs)"
     )
 

@@ -12,7 +12,14 @@ from esd.datasets.precompute import precompute
 from esd.descriptors.recipe import Descriptor, Recipe, single_recipe
 from esd.learning.device import usable_device
 from esd.learning.losses import contrastive_loss, infonce_loss, pair_criteria
-from esd.learning.model import Layer, Model, load_model, raw_model, save_model
+from esd.learning.model import (
+    Layer,
+    Model,
+    load_model,
+    model_description,
+    raw_model,
+    save_model,
+)
 from esd.learning.pairs import draw_matches, draw_pairs, point_table, standardisation, stored_table
 from esd.learning.presets import PRESETS, Training, preset
 from esd.parallel import Workers
@@ -313,6 +320,28 @@ def test_models_come_back_as_they_were_saved(model, tmp_path):
         "model.safetensors",
     }
     assert [file.name for file in tmp_path.iterdir()] == ["m"]
+
+
+def test_descriptions_say_in_a_line_how_a_model_was_trained(model):
+    card = {
+        "data": "set",
+        "shapes": [f"s{i}" for i in range(100)],
+        "validation_shapes": ["v"],
+        "training": {"loss": "infonce"},
+        "steps_done": 30,
+        "seed": 4,
+        "curve": [[0, 1.0, None]],
+        "on other_set": "1.5",
+    }
+    text = model_description(replace(model, card=card))
+    assert text.splitlines()[4:] == [
+        "- Descriptors: GPS (25), from 300 eigenpairs",
+        "- Layers: 25 – 15",
+        "- Training: 100 shapes of set (s0 … s99), 30 steps, loss infonce, validated on 1 shapes, "
+        "seed 4",
+        "- On other_set: 1.5",
+    ]
+    assert "Training" not in model_description(raw_model("hks"))
 
 
 def test_damaged_models_are_refused(model, tmp_path):

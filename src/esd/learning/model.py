@@ -379,7 +379,10 @@ def _check_fit(model: Model, widths: Sequence[int], folder: Path) -> None:
 
 
 def model_description(model: Model) -> str:
-    """The text of a model folder's `README.md`: what the model is made of, and its card."""
+    """The text of a model folder's `README.md`: descriptors, layers, training, and measurements.
+
+    All else that the card holds, such as the names of the shapes, is in `config.json`.
+    """
     parts = ", ".join(
         f"{'log ' if part.log else ''}{part.kind.upper()} ({part.count})"
         for part in model.recipe.descriptors
@@ -392,13 +395,27 @@ def model_description(model: Model) -> str:
         f"- Descriptors: {parts}, from {model.recipe.eigenpairs} eigenpairs",
         f"- Layers: {' – '.join(map(str, layer_widths(model)))}",
         *_convolutions_description(model),
-        *(
-            f"- {key.replace('_', ' ').capitalize()}: {value}"
-            for key, value in model.card.items()
-            if key != "curve"  # which is in config.json
-        ),
+        *_training_description(model.card),
+        *(f"- O{key[1:]}: {value}" for key, value in model.card.items() if key.startswith("on ")),
     ]
     return "\n".join(lines) + "\n"
+
+
+def _training_description(card: Mapping[str, Any]) -> list[str]:
+    """One line about the data and the steps of a training; none for a raw descriptor."""
+    shapes, settings = card.get("shapes"), card.get("training")
+    if not isinstance(shapes, list) or not isinstance(settings, Mapping):
+        return []
+    line = f"- Training: {len(shapes)} shapes of {card.get('data')}"
+    if shapes:
+        line += f" ({shapes[0]} … {shapes[-1]})"
+    line += f", {card.get('steps_done')} steps"
+    if loss := settings.get("loss"):
+        line += f", loss {loss}"
+    if held := card.get("validation_shapes"):
+        line += f", validated on {len(held)} shapes"
+    line += f", seed {card.get('seed')}"
+    return [line + (f": `{card['command']}`" if "command" in card else "")]
 
 
 def _convolutions_description(model: Model) -> list[str]:
