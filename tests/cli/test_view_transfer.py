@@ -12,7 +12,7 @@ import pytest
 
 from esd.cli import main
 from esd.matching.correspondence import Correspondence, load_map, save_map
-from esd.mesh.io.meshes import read_mesh, write_mesh
+from esd.mesh.io.meshes import read_arrays, read_mesh, write_mesh
 from esd.mesh.mesh import Mesh
 from esd.mesh.shapes import subdivide, torus
 
@@ -73,6 +73,22 @@ def test_export_keeps_matches_and_changes_formats(run, pair):
     run("export", "a.off", "b.off", "map.csv", "-o", "m.vts", where=pair)
     match = load_map(pair / "m.vts", source_count=96, target_count=384)
     np.testing.assert_array_equal(match.target_index, np.arange(96))
+
+
+def test_points_are_exported_and_take_labels(run, pair):
+    np.savetxt(pair / "p.xyz", read_mesh(pair / "a.off").vertices)
+    for name in ("p.ply", "p.vtp", "p.npy"):
+        run("export", "p.xyz", "b.off", "map.csv", "-o", name, where=pair)
+    assert b"property int target\n" in (pair / "p.ply").read_bytes()
+    assert len(read_arrays(pair / "p.ply")[0]) == 96
+    (pair / "labels.txt").write_text("one\n" * 96)
+    run("transfer", "p.xyz", "b.off", "map.csv", "--labels", "labels.txt", where=pair)
+    assert (pair / "b-labels.txt").read_text() == "one\n" * 384
+    truth = ("--truth", "map.csv", "-o", "e.ply")
+    done = run("export", "b.off", "p.xyz", "map.csv", *truth, where=pair, expect=1)
+    assert "maps 96 vertices" in done.stderr
+    done = run("export", "a.off", "p.xyz", "map.csv", *truth, where=pair, expect=1)
+    assert "Errors are measured along the faces of the target" in done.stderr
 
 
 def test_transfer_of_what_people_have(run, pair):

@@ -16,6 +16,7 @@ from esd.cli.options import (
     TruthOption,
 )
 from esd.cli.output import destination, tell
+from esd.cli.shapes import read_shape
 from esd.cli.view import true_error
 
 
@@ -43,7 +44,6 @@ def export(
     """
     from esd.common import InputError
     from esd.matching.correspondence import MAP_SUFFIXES, load_map, save_map
-    from esd.mesh.convert import as_mesh
     from esd.mesh.io.attributes import ATTRIBUTE_FORMATS, write_with_attributes
 
     path = output or Path(f"{source.stem}-{target.stem}.ply")
@@ -56,16 +56,16 @@ def export(
         raise typer.BadParameter("Give --truth or --points, not both.")
     inputs = [source, target, map, *([truth] if truth else []), *(points or ())]
     destination(path, force=force, inputs=inputs)
-    source_mesh, target_mesh = as_mesh(source), as_mesh(target)
+    shapes = read_shape(source), read_shape(target)
     match = load_map(
-        map, source_count=len(source_mesh.vertices), target_count=len(target_mesh.vertices)
+        map, source_count=len(shapes[0].vertices), target_count=len(shapes[1].vertices)
     )
     if path.suffix.lower() in ATTRIBUTE_FORMATS:
         attributes = match.attributes()
-        error = true_error(source_mesh, target_mesh, match, truth, points)
+        error = true_error(*shapes, match, truth, points)
         if error is not None:
             attributes["error"] = error
-        write_with_attributes(source_mesh, attributes, path)
+        write_with_attributes(shapes[0], attributes, path)
     else:
         save_map(match, path)
     tell(f"written to {path}")

@@ -31,6 +31,7 @@ from esd.cli.options import (
 )
 from esd.cli.output import about, destination, tell
 from esd.cli.progress import progress
+from esd.cli.shapes import read_drawable
 
 if TYPE_CHECKING:
     from esd.common import IntArray
@@ -88,7 +89,6 @@ def match(
     from esd.matching.correspondence import check_map_path, save_map
     from esd.matching.match import match as match_meshes
     from esd.matching.match import prepared
-    from esd.mesh.repair.repair import usable_part
 
     check_coarse(coarse, one_to_one=one_to_one, full=full)
     start = time.perf_counter()
@@ -98,7 +98,7 @@ def match(
     page = path.with_suffix(".html")
     if view:
         destination(page, force=force, inputs=inputs)
-        drawn = usable_part(source), usable_part(target)
+        drawn = read_drawable(source), read_drawable(target)
     loaded = load_model(model, device=device)
     if reject:
         check_threshold(loaded)
@@ -108,17 +108,18 @@ def match(
         for file in (source, target):
             with about(file):
                 shapes.append(prepared(file, everything=repair, coarse=coarse, full=full))
-        result = match_meshes(
-            *shapes,
-            model=loaded,
-            refine=refine,
-            one_to_one=one_to_one,
-            candidates=candidate_names(candidates),
-            landmarks=pairs,
-            mirror=mirror.value,
-            coarse=coarse,
-            full=full,
-        )
+        with about(f"{source}' and '{target}"):
+            result = match_meshes(
+                *shapes,
+                model=loaded,
+                refine=refine,
+                one_to_one=one_to_one,
+                candidates=candidate_names(candidates),
+                landmarks=pairs,
+                mirror=mirror.value,
+                coarse=coarse,
+                full=full,
+            )
     if reject:
         result = result.rejecting(loaded.threshold())
     result = result.confident(min_confidence)

@@ -82,7 +82,7 @@ def reproduce(
     start = time.perf_counter()
     folder = output / experiment.value
     destination(folder, force=force, inputs=data, is_folder=True)
-    destination(output / "parts", force=True, inputs=data, is_folder=True)
+    destination(output, force=True, inputs=data, is_folder=True)
     settings = []
     for name in data:
         collection = sample_by_subject(open_collection(name), per_subject, seed=seed)

@@ -11,10 +11,10 @@ import typer
 from esd.cli.options import ForceOption, MapArgument, SourceArgument, TargetArgument
 from esd.cli.output import about, destination, tell
 from esd.cli.progress import progress
+from esd.cli.shapes import read_drawable, read_shape
 
 if TYPE_CHECKING:
     from esd.matching.correspondence import Correspondence
-    from esd.mesh.mesh import Mesh, PointCloud
 
 
 class Method(str, Enum):
@@ -133,19 +133,9 @@ def _transfer_landmarks(
     from esd.matching.along import transfer as along
     from esd.mesh.io.landmarks import read_landmarks, write_landmarks
 
-    landmarks = read_landmarks(file, _vertices(source))
+    landmarks = read_landmarks(file, read_shape(source))
     carried = along(landmarks.vertices, source, target, match, kind="landmarks")
-    write_landmarks(replace(landmarks, vertices=carried), _vertices(target), path)
-
-
-def _vertices(path: Path) -> Mesh | PointCloud:
-    """The shape in a file with all its vertices, drawable or not."""
-    from esd.mesh.convert import as_arrays
-    from esd.mesh.mesh import PointCloud
-    from esd.mesh.repair.repair import usable_part
-
-    vertices, faces = as_arrays(path)
-    return usable_part(path) if len(faces) else PointCloud(vertices)
+    write_landmarks(replace(landmarks, vertices=carried), read_shape(target), path)
 
 
 def _write_morph(
@@ -153,13 +143,8 @@ def _write_morph(
 ) -> None:
     from esd.matching.transfer import in_between
     from esd.mesh.io.meshes import write_mesh
-    from esd.mesh.repair.repair import usable_part
 
-    meshes = []
-    for file in (source, target):
-        with about(file):
-            meshes.append(usable_part(file))
-    shapes = in_between(meshes[0], meshes[1], match, count=count)
+    shapes = in_between(read_drawable(source), read_drawable(target), match, count=count)
     for i, shape in enumerate(shapes):
         write_mesh(shape, folder / f"{i:0{len(str(count - 1))}d}.ply")
 
@@ -169,11 +154,9 @@ def _transfer_texture(source: Path, target: Path, match: Correspondence, path: P
 
     from esd.matching.along import transferred_texture
     from esd.mesh.io.attributes import read_texture, write_textured
-    from esd.mesh.repair.repair import usable_part
 
     texture = read_texture(source)
-    with about(target):
-        mesh = usable_part(target)
+    mesh = read_drawable(target)
     coordinates = transferred_texture(texture.coordinates, source, mesh, match)
     write_textured(mesh, replace(texture, coordinates=coordinates), path)
 
@@ -192,7 +175,6 @@ def _transfer_fields(
     from esd.matching.along import transfer as along
     from esd.mesh.io.attributes import read_vertex_colours, write_coloured
     from esd.mesh.io.fields import read_labels, read_values, write_labels, write_values
-    from esd.mesh.repair.repair import usable_part
 
     if labels:
         marks, names = read_labels(labels)
@@ -205,8 +187,7 @@ def _transfer_fields(
             carried = along(known, source, target, match, kind="values", method=method.value)
         write_values(carried, path)
     else:
-        with about(target):
-            mesh = usable_part(target)
+        mesh = read_drawable(target)
         colours = along(
             read_vertex_colours(source), source, target, match, kind="values", method=method.value
         )

@@ -16,11 +16,13 @@ from esd.cli.options import (
     TruthOption,
 )
 from esd.cli.output import destination, tell
+from esd.cli.progress import progress
+from esd.cli.shapes import read_drawable
 
 if TYPE_CHECKING:
     from esd.common import FloatArray
     from esd.matching.correspondence import Correspondence
-    from esd.mesh.mesh import Mesh
+    from esd.mesh.mesh import Mesh, PointCloud
 
 
 def view(
@@ -44,7 +46,6 @@ def view(
     The page needs no network. Point at a shape to see the match; press ? for its keys.
     """
     from esd.matching.correspondence import load_map
-    from esd.mesh.repair.repair import usable_part
     from esd.viewing.page import check_page_path
 
     path = check_page_path(output or Path(f"{source.stem}-{target.stem}.html"))
@@ -54,14 +55,15 @@ def view(
         raise typer.BadParameter("Give --truth or --points, not both.")
     if up not in (None, "x", "y", "z"):
         raise typer.BadParameter(f"--up takes x, y or z; got '{up}'.")
-    source_mesh, target_mesh = usable_part(source), usable_part(target)
+    source_mesh, target_mesh = read_drawable(source), read_drawable(target)
     counts = {
         "source_count": len(source_mesh.vertices),
         "target_count": len(target_mesh.vertices),
     }
     match = load_map(map, **counts)
-    error = true_error(source_mesh, target_mesh, match, truth, points)
-    write_page((source, source_mesh), (target, target_mesh), match, path, error=error, up=up)
+    with progress("drawing"):
+        error = true_error(source_mesh, target_mesh, match, truth, points)
+        write_page((source, source_mesh), (target, target_mesh), match, path, error=error, up=up)
     tell(f"written to {path}")
     if open_page:
         typer.launch(str(path.resolve()))
@@ -84,8 +86,8 @@ def write_page(
 
 
 def true_error(
-    source: Mesh,
-    target: Mesh,
+    source: Mesh | PointCloud,
+    target: Mesh | PointCloud,
     match: Correspondence,
     truth: Path | None,
     points: tuple[Path, Path] | None,
@@ -95,17 +97,21 @@ def true_error(
     from esd.datasets.folder import read_vts
     from esd.evaluation.errors import true_map, vertex_errors
     from esd.matching.correspondence import load_map
+    from esd.mesh.mesh import Mesh
 
+    if not truth and not points:
+        return None
+    if not isinstance(target, Mesh):
+        raise InputError("Errors are measured along the faces of the target; it has none.")
     counts = {"source_count": len(source.vertices), "target_count": len(target.vertices)}
     if truth:
         known = load_map(truth, **counts).target_index
-    elif points:
+    else:
+        assert points is not None
         known = true_map(read_vts(points[0]), read_vts(points[1]), counts["source_count"])
         if known.max() >= counts["target_count"]:
             raise InputError(
                 f"'{points[1]}' names vertex {known.max() + 1} (from 1); "
-                f"'{target}' has {counts['target_count']}."
+                f"the target has {counts['target_count']}."
             )
-    else:
-        return None
     return vertex_errors(target, match.target_index, known)

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from esd.common import FloatArray, InputError, IntArray, whole_file
 from esd.mesh.io.meshes import read_mesh
-from esd.mesh.mesh import Mesh
+from esd.mesh.mesh import Mesh, PointCloud
 
 ATTRIBUTE_FORMATS = (".ply", ".vtp")
 """Suffixes of the files in which vertices have attributes."""
@@ -44,9 +44,11 @@ class Texture:
 
 
 def write_with_attributes(
-    mesh: Mesh, attributes: Mapping[str, npt.NDArray[Any]], path: str | os.PathLike[str]
+    mesh: Mesh | PointCloud,
+    attributes: Mapping[str, npt.NDArray[Any]],
+    path: str | os.PathLike[str],
 ) -> None:
-    """Write a mesh with attributes of its vertices, (n,) numbers each, as PLY or VTP.
+    """Write a shape with attributes of its vertices, (n,) numbers each, as PLY or VTP.
 
     MeshLab and Blender read PLY, ParaView reads VTP. In PLY integers and coordinates have 32 bits.
 
@@ -171,10 +173,10 @@ def write_textured(mesh: Mesh, texture: Texture, path: str | os.PathLike[str]) -
         temporary.write_text("\n".join([*lines, ""]), encoding="utf-8")
 
 
-def _surface(mesh: Mesh, **options: Any) -> Any:
+def _surface(mesh: Mesh | PointCloud, **options: Any) -> Any:
     import trimesh
 
-    return trimesh.Trimesh(mesh.vertices, mesh.faces, process=False, **options)
+    return trimesh.Trimesh(mesh.vertices, _faces(mesh), process=False, **options)
 
 
 def _obj_texture(path: Path) -> Texture:
@@ -223,9 +225,14 @@ def _glb_texture(path: Path) -> Texture:
     return Texture(np.asarray(places)[np.asarray(loaded.faces)], image)
 
 
-def _vtp(mesh: Mesh, attributes: Mapping[str, npt.NDArray[Any]]) -> str:
+def _faces(mesh: Mesh | PointCloud) -> IntArray:
+    """The faces, (m, 3); none of a point cloud."""
+    return mesh.faces if isinstance(mesh, Mesh) else np.zeros((0, 3), dtype=np.int64)
+
+
+def _vtp(mesh: Mesh | PointCloud, attributes: Mapping[str, npt.NDArray[Any]]) -> str:
     """A VTK XML file of polygons, its arrays in base64 after their length in bytes."""
-    count = len(mesh.faces)
+    count = len(_faces(mesh))
 
     def array(name: str, values: npt.NDArray[Any], components: int = 1) -> str:
         values = np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<"))
@@ -243,7 +250,7 @@ def _vtp(mesh: Mesh, attributes: Mapping[str, npt.NDArray[Any]]) -> str:
             'header_type="UInt64"><PolyData>',
             f'<Piece NumberOfPoints="{len(mesh.vertices)}" NumberOfPolys="{count}">',
             "<Points>" + array("Points", mesh.vertices, 3) + "</Points>",
-            "<Polys>" + array("connectivity", mesh.faces.ravel()),
+            "<Polys>" + array("connectivity", _faces(mesh).ravel()),
             array("offsets", 3 * np.arange(1, count + 1)) + "</Polys>",
             "<PointData>",
             *(array(name, values) for name, values in attributes.items()),
