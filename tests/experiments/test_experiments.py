@@ -10,9 +10,12 @@ import pytest
 
 from esd.common import InputError
 from esd.datasets.collection import Collection, Shape
+from esd.evaluation.errors import truth_of
 from esd.experiments import (
     architecture,
+    comparison,
     concatenation,
+    costs,
     counting,
     dimension,
     scale,
@@ -31,7 +34,6 @@ from esd.mesh.shapes import torus
 from esd.spectral.cache import Cache
 
 pytest.importorskip("torch", reason="training needs the extra `train`")
-viewing = pytest.importorskip("esd.viewing.experiments", reason="figures need the extra `viz`")
 
 
 @contextmanager
@@ -96,10 +98,8 @@ def test_true_signs_undo_arbitrary_ones(made):
     shape = made.testing.shapes[0]
     values = raw_model("gps").embed_mesh(shape.mesh())
     signs = np.where(np.arange(25) % 2, 1, -1)
-    index = np.arange(384)
-    ends = [
-        counting.Embedded(shape, index, {"GPS": v, "signed": v}) for v in (values, values * signs)
-    ]
+    truth = truth_of(shape)
+    ends = [counting.Embedded(truth, {"GPS": v, "signed": v}) for v in (values, values * signs)]
     models = {"GPS": raw_model("gps"), "signed": raw_model("gps")}
     found = counting._correct_on_target(ends[1], [ends[0]], models, ["signed"])
     assert found["signed", 0].all()
@@ -117,7 +117,7 @@ def test_table1_counts_six_descriptors_and_goes_on(made, tmp_path, monkeypatch):
         outcome.report.findings
     )
     assert all({s.subject, t.subject} == {"s2", "s3"} for s, t in outcome.pairs)
-    assert drawn(viewing.table1_figures(outcome), tmp_path) == {"matches", "counts"}
+    assert drawn(table1.figures(outcome), tmp_path) == {"matches", "counts"}
     # again: nothing is trained or matched anew
     monkeypatch.setattr(counting, "_correct_on_target", None)
     monkeypatch.setattr("esd.learning.train.train", None)
@@ -133,7 +133,7 @@ def in_this_process(processes, mp_context):
 @pytest.fixture
 def compared(made, monkeypatch):
     monkeypatch.setattr(table2, "_QUICK_STEPS", dict.fromkeys(table2.LEARNED.values(), 4))
-    monkeypatch.setattr(table2, "ProcessPoolExecutor", in_this_process)
+    monkeypatch.setattr(costs, "ProcessPoolExecutor", in_this_process)
     return made
 
 
@@ -156,7 +156,7 @@ def test_table2_compares_methods_on_ever_more_different_subjects(compared, tmp_p
             assert [len(errors) for errors in group.errors[method]] == [38] * len(group.pairs)
             curve = group.curve(method)
             assert (np.diff(curve) >= 0).all()
-            at_5_percent = curve[np.searchsorted(table2.RADII, 0.05)]
+            at_5_percent = curve[np.searchsorted(comparison.RADII, 0.05)]
             assert 100 * at_5_percent == pytest.approx(group.accuracies(method).mean())
     # trained on one subject, watched on the other, as HKS is not
     shapes = {tuple(model.card.get("shapes", ())) for model in outcome.models.values()}
@@ -171,10 +171,10 @@ def test_table2_compares_methods_on_ever_more_different_subjects(compared, tmp_p
     text = " ".join(outcome.report.findings)
     assert "nothing is excluded" in text
     assert "EHKS has 5.62 times the share of OSD, the best of the others" in text
-    assert drawn(viewing.table2_figures(outcome), tmp_path) == {"curves", "matches", "training"}
+    assert drawn(table2.figures(outcome), tmp_path) == {"curves", "matches", "training"}
     # again: nothing is trained, matched or measured anew
-    monkeypatch.setattr(table2, "_errors", None)
-    monkeypatch.setattr(table2, "_described_cost", None)
+    monkeypatch.setattr(comparison, "_errors", None)
+    monkeypatch.setattr(costs, "embedding_cost", None)
     monkeypatch.setattr("esd.learning.train.train", None)
     assert table2.run(compared).report == outcome.report
 
@@ -206,9 +206,9 @@ def test_table2_leaves_out_parts_and_takes_mirrored_matches(compared):
 def test_points_are_sampled_by_area_and_disparity_is_none_without_change(made):
     shape = made.testing.shapes[0]
     larger = replace(shape, mesh=lambda: Mesh(3 * shape.mesh().vertices + 1, shape.mesh().faces))
-    assert table2._disparity(shape, larger) == pytest.approx(0, abs=1e-9)
+    assert comparison._disparity(truth_of(shape), truth_of(larger)) == pytest.approx(0, abs=1e-9)
     areas = vertex_areas(shape.mesh())
-    draws = [table2._sampled(shape, shape, None, (0, i)) for i in range(200)]
+    draws = [comparison._sampled(shape, shape, None, (0, i)) for i in range(200)]
     assert all(len(np.unique(draw)) == 38 for draw in draws)
     large = areas > np.median(areas)
     # half of the vertices; without replacement a little less than their share of the area
@@ -222,7 +222,7 @@ def test_table2_needs_subjects_that_correspond(made):
     shapes = made.testing.shapes
     foreign = tuple(replace(s, template="x") if s.subject == "s3" else s for s in shapes)
     with pytest.raises(InputError, match=r"No shapes of 's.' and 's.' correspond"):
-        table2._drawn(replace(made, testing=replace(made.testing, shapes=foreign)))
+        comparison.drawn_groups(replace(made, testing=replace(made.testing, shapes=foreign)))
 
 
 def test_processor_time_of_a_training_that_went_on_is_that_of_all_its_steps():
@@ -262,7 +262,7 @@ def test_architecture_trains_every_network_of_the_grid(made, tmp_path, monkeypat
         of_depth = [t for t in outcome.trials if (t.kind, len(t.hidden), t.seed) == (kind, 2, 0)]
         lowest = architecture.best(outcome.trials, kind, depth=2)
         assert lowest.testing.loss_mean == min(t.testing.loss_mean for t in of_depth)
-    assert drawn(viewing.architecture_figures(outcome), tmp_path) == {"architecture", "depth"}
+    assert drawn(architecture.figures(outcome), tmp_path) == {"architecture", "depth"}
     monkeypatch.setattr("esd.learning.architecture.train_many", None)
     assert architecture.run(made).trials == outcome.trials
 
@@ -272,7 +272,7 @@ def test_dimension_of_noise_is_that_of_its_neighbourhood(made, tmp_path):
     rows = {row[0]: row[1:] for row in outcome.report.tables[0].rows}
     assert rows["noise"][:2] == (5, 9)
     assert max(rows["HKS"]) < 10
-    assert drawn(viewing.dimension_figures(outcome), tmp_path) == {"dimension"}
+    assert drawn(dimension.figures(outcome), tmp_path) == {"dimension"}
 
 
 def test_concatenation_stands_beside_its_parts(made, tmp_path):
@@ -280,7 +280,7 @@ def test_concatenation_stands_beside_its_parts(made, tmp_path):
     assert [m.name for m in outcome.matched][3:] == ["GPS+HKS+WKS", "GPS+HKS+WKS, wide"]
     best = max(outcome.matched[:3], key=lambda m: m.counts.mean()).name
     assert outcome.report.tables[0].rows[3][7] == best
-    assert drawn(viewing.concatenation_figures(outcome), tmp_path) == {"counts"}
+    assert drawn(concatenation.figures(outcome), tmp_path) == {"counts"}
 
 
 def test_unit_area_removes_the_scale(made, tmp_path):
@@ -291,7 +291,7 @@ def test_unit_area_removes_the_scale(made, tmp_path):
             # rounding may turn a match or two of 384
             np.testing.assert_allclose(shares, shares[same], atol=0.6)
     assert outcome.shares["HKS, own size"][far] < 0.5 * outcome.shares["HKS, own size"][same]
-    assert drawn(viewing.scale_figures(outcome), tmp_path) == {"scale"}
+    assert drawn(scale.figures(outcome), tmp_path) == {"scale"}
 
 
 def test_transfer_is_a_matrix(made, tmp_path):
@@ -305,7 +305,7 @@ def test_transfer_is_a_matrix(made, tmp_path):
     assert outcome.shares["hks", "bent", "bent"] == pytest.approx(
         100 * table1.run(made).matched[4].shares.mean()
     )
-    assert drawn(viewing.transfer_figures(outcome), tmp_path) == {"transfer"}
+    assert drawn(transfer.figures(outcome), tmp_path) == {"transfer"}
     with pytest.raises(InputError, match="must have different names; got bent, bent"):
         transfer.run(made, made)
 

@@ -7,7 +7,7 @@ import pytest
 from esd.datasets.collection import Collection, Shape
 from esd.datasets.perturb import PERTURBATIONS
 from esd.experiments import noise
-from esd.experiments.noise import NoisyMaps, mean_error, precision_recall, separation
+from esd.experiments.noisy_maps import NoisyMaps, mean_error, precision_recall, separation
 from esd.experiments.setting import Setting
 from esd.mesh.mesh import Mesh
 from esd.mesh.shapes import torus
@@ -85,7 +85,7 @@ def test_points_that_are_cut_off_have_no_error_and_no_counterpart(outcome_and_se
 def test_what_is_finished_is_not_measured_again(outcome_and_setting, monkeypatch):
     outcome, setting = outcome_and_setting
     monkeypatch.setattr(noise, "_maps_of_pair", None)
-    monkeypatch.setattr(noise, "geodesic_errors", None)
+    monkeypatch.setattr(noise, "errors_on_target", None)
     again = noise.run(setting)
     assert again.report == outcome.report
     with pytest.raises(TypeError):
@@ -107,9 +107,8 @@ def test_the_report_tells_errors_verdicts_and_counterparts(outcome_and_setting):
 
 
 def test_figures_are_drawn(outcome_and_setting, tmp_path, monkeypatch):
-    viewing = pytest.importorskip("esd.viewing.experiments", reason="figures need the extra `viz`")
     outcome, _ = outcome_and_setting
-    figures = viewing.noise_figures(outcome)
+    figures = noise.figures(outcome)
     painted = {f"painted-{name.replace(' ', '-')}" for name in PERTURBATIONS}
     assert set(figures) == {"errors", "curves", "counterparts"} | painted
     for name in ("errors", "counterparts", "painted-cut"):

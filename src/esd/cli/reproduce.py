@@ -10,25 +10,20 @@ import typer
 
 from esd.cli.options import ForceOption
 from esd.cli.output import destination, tell
-
-# each has a module of its name in esd.experiments, whose `run` measures, and a function
-# NAME_figures in esd.viewing.experiments, which draws
-EXPERIMENTS = (
-    "table1",
-    "table2",
-    "dimension",
-    "architecture",
-    "concatenation",
-    "scale",
-    "noise",
-    "transfer",
-)
+from esd.experiments.catalogue import EXPERIMENTS
 
 Experiment = Enum("Experiment", {name: name for name in EXPERIMENTS}, type=str)  # type: ignore[misc]
 
 
 def reproduce(
-    experiment: Annotated[Experiment, typer.Argument(help="A table or figure of the paper.")],
+    experiment: Annotated[
+        Experiment,
+        typer.Argument(
+            help="A table or figure of the paper: "
+            + "; ".join(f"{name} ({about})" for name, about in EXPERIMENTS.items())
+            + "."
+        ),
+    ],
     data: Annotated[
         list[str],
         typer.Option(
@@ -57,8 +52,8 @@ def reproduce(
 ) -> None:
     """Repeat an experiment of the paper: figures, CSV tables and report.md, in DIR/EXPERIMENT.
 
-    What is finished is kept in DIR/parts and DIR/models: an interrupted experiment resumes
-    when rerun, and several experiments share their trainings.
+    Finished parts are saved in DIR/parts and DIR/models: an interrupted experiment resumes when
+    rerun, and several experiments share their trainings.
     """
     import shlex
     import sys
@@ -72,13 +67,13 @@ def reproduce(
     from esd.experiments.setting import Setting, provenance
     from esd.experiments.table2 import TESTING_SUBJECTS, TRAINING_SUBJECTS
     from esd.spectral.cache import default_cache
-    from esd.viewing import experiments as drawing
     from esd.viewing.figures import save_figure
 
     if (len(data) > 1) != (experiment.value == "transfer"):
         raise typer.BadParameter(
             "'transfer' takes --data several times, the other experiments once."
         )
+    module = import_module(f"esd.experiments.{experiment.value}")
     start = time.perf_counter()
     folder = output / experiment.value
     destination(folder, force=force, inputs=data, is_folder=True)
@@ -105,8 +100,8 @@ def reproduce(
             )
         )
     folder.mkdir(parents=True, exist_ok=True)
-    outcome = import_module(f"esd.experiments.{experiment.value}").run(*settings)
-    figures = getattr(drawing, f"{experiment.value}_figures")(outcome)
+    outcome = module.run(*settings)
+    figures = module.figures(outcome)
     for name, figure in figures.items():
         for suffix in (".png", ".pdf"):
             save_figure(figure, folder / f"{name}{suffix}")

@@ -7,9 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from esd.common import FloatArray, InputError, IntArray
+from esd.datasets.collection import Shape
 from esd.mesh.geodesics import EdgeGraph, geodesic_diameter, geodesic_graph
 from esd.mesh.geometry import surface_area
 from esd.mesh.mesh import Mesh
+
+NEAR = 0.05  # of the geodesic diameter of the target: a match within it is right
 
 _CHUNK = 256
 
@@ -31,6 +34,12 @@ class Truth:
     mesh: Mesh
     index: IntArray
     symmetric: IntArray | None = None
+
+
+def truth_of(shape: Shape) -> Truth:
+    """Where the points of the template lie on a shape of a collection, as it is in its file."""
+    symmetric = None if shape.symmetric is None else shape.symmetric()
+    return Truth(shape.mesh(), shape.correspondence(), symmetric)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,7 +16,7 @@ from scipy.stats import rankdata
 
 from esd.common import BoolArray, FloatArray, InputError, IntArray
 from esd.datasets.collection import Shape
-from esd.evaluation.errors import Truth, area_under_curve, errors_on_target
+from esd.evaluation.errors import NEAR, Truth, area_under_curve, errors_on_target
 from esd.learning.model import Model
 from esd.matching.batch import load_features, save_features
 from esd.matching.features import Features
@@ -26,8 +26,6 @@ from esd.mesh.mesh import Mesh
 from esd.mesh.repair.repair import repair
 from esd.parallel import THIS_PROCESS, Workers, outcomes, shared_folder
 from esd.spectral.cache import Cache
-
-NEAR = 0.05  # of the geodesic diameter of the target: a match within it is right
 
 _BINS = (0, 0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 1)  # of the confidence
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict, astuple, dataclass, fields, replace
 from itertools import groupby, pairwise, product
 
 import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.tri import Triangulation
 
 from esd.experiments.report import Report, Table
 from esd.experiments.setting import KINDS, Setting, described, shortened
@@ -13,6 +16,7 @@ from esd.learning.losses import PairCriteria
 from esd.learning.pairs import PointTable, standardisation
 from esd.learning.presets import PRESETS, Training
 from esd.spectral.cache import Arrays, content_key
+from esd.viewing.figures import blank_figure
 
 CHOSEN = {"gps": (20, 18), "hks": (78, 32), "wks": (78, 32)}
 """The paper's choice."""
@@ -100,7 +104,7 @@ def _trials(setting: Setting, kind: str) -> list[Trial]:
     ]
     data = content_key("tables", *(t.values for t in tables), *tables[0].rows, *tables[1].rows)
     trials = []
-    with setting.progress(f"training {len(plan)} networks on {kind}", len(plan)) as went:
+    with setting.progress(f"training {len(plan)} networks on {kind}", len(plan)) as advance:
         for seed, hidden in chunks:
 
             def compute(seed: int = seed, hidden: list[tuple[int, ...]] = hidden) -> Arrays:
@@ -122,7 +126,7 @@ def _trials(setting: Setting, kind: str) -> list[Trial]:
                 Trial(kind, h, seed, PairCriteria(*a.tolist()), PairCriteria(*b.tolist()))
                 for h, a, b in zip(hidden, found["training"], found["testing"], strict=True)
             ]
-            went(len(hidden))
+            advance(len(hidden))
     return trials
 
 
@@ -251,3 +255,63 @@ def _choices(setting: Setting, trials: tuple[Trial, ...]) -> Table:
 
 def _widths(hidden: tuple[int, ...]) -> str:
     return "–".join(map(str, hidden))
+
+
+_MEASURES: dict[str, Callable[[PairCriteria], float]] = {
+    "LSS": lambda criteria: criteria.loss_sum,
+    "TNR, %": lambda criteria: 100 * criteria.miss_rate,
+    "FPR, %": lambda criteria: 100 * criteria.false_match_rate,
+    "ERR, %": lambda criteria: 100 * criteria.error_rate,
+}  # by the names they have in the paper
+# by the names they have in the paper
+_SIDES: dict[str, Callable[[Trial], PairCriteria]] = {
+    "unseen subjects": lambda trial: trial.testing,
+    "subjects trained on": lambda trial: trial.training,
+}
+
+
+def figures(outcome: ArchitectureOutcome) -> dict[str, Figure]:
+    """The criteria over the neurons of two hidden layers, one row a descriptor; and by depth."""
+    figure = blank_figure(11, 8)
+    panels = figure.subplots(len(KINDS), len(_MEASURES))
+    for row, kind in zip(panels, KINDS, strict=True):
+        grid = [t for t in outcome.trials if t.kind == kind and len(t.hidden) == 2]
+        seed = min(t.seed for t in grid)
+        grid = [t for t in grid if t.seed == seed]
+        first, second = np.array([t.hidden for t in grid], dtype=float).T
+        for axes, (name, measure) in zip(row, _MEASURES.items(), strict=True):
+            values = [measure(trial.testing) for trial in grid]
+            shown = axes.tricontourf(Triangulation(first, second), values, levels=14)
+            figure.colorbar(shown, ax=axes)
+            axes.plot(*CHOSEN[kind], "r+", markersize=10)
+            axes.set_title(f"{kind.upper()}: {name}", fontsize=9)
+            axes.set_xlabel("neurons, first", fontsize=8)
+            axes.set_ylabel("second", fontsize=8)
+    return {"architecture": figure, "depth": _depth_figure(outcome.trials)}
+
+
+def _depth_figure(trials: tuple[Trial, ...]) -> Figure:
+    figure = blank_figure(9, 3.2)
+    for axes, kind in zip(figure.subplots(1, len(KINDS)), KINDS, strict=True):
+        for place, (what, of) in enumerate(_SIDES.items()):
+            groups = [
+                [of(t).loss_mean for t in trials if t.kind == kind and len(t.hidden) == depth]
+                for depth in (1, 2, 3)
+            ]
+            boxes = axes.boxplot(
+                groups,
+                positions=np.arange(1, 4) + 0.36 * place - 0.18,
+                widths=0.3,
+                patch_artist=True,
+                showfliers=False,
+                medianprops={"color": "black"},
+                label=what,
+            )
+            for box in boxes["boxes"]:
+                box.set_facecolor(f"C{place}")
+        axes.set_xticks([1, 2, 3], ["1", "2", "3"])
+        axes.set_xlabel("hidden layers")
+        axes.set_title(kind.upper())
+    figure.axes[0].set_ylabel("loss a pair")
+    figure.axes[0].legend(fontsize=8)
+    return figure

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from matplotlib.figure import Figure
+
 from esd.descriptors.recipe import Recipe
 from esd.experiments.counting import CorrectMatches, correct_matches, drawn_pairs, summary
+from esd.experiments.pictures import counts_figure
 from esd.experiments.report import Report
 from esd.experiments.setting import KINDS, Setting, fingerprint, paper_training, trained
 
@@ -46,3 +49,8 @@ def run(setting: Setting) -> ConcatenationOutcome:
         f"as the best of the three alone, {best.name}. The paper observed no gain, without figures."
     )
     return ConcatenationOutcome(matched, Report("Concatenated descriptors", (finding,), (table,)))
+
+
+def figures(outcome: ConcatenationOutcome) -> dict[str, Figure]:
+    """Correct matches and covered area by each embedding."""
+    return {"counts": counts_figure(outcome.matched)}

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
 from esd.common import BoolArray, FloatArray, IntArray
 from esd.datasets.collection import Shape
-from esd.evaluation.errors import geodesic_errors
+from esd.evaluation.errors import NEAR, Truth, errors_on_target, truth_of
 from esd.experiments.report import Table
 from esd.experiments.setting import Setting
 from esd.learning.model import Model
@@ -18,7 +18,6 @@ from esd.mesh.geometry import vertex_areas
 from esd.nearest import nearest
 from esd.spectral.cache import Arrays, content_key
 
-NEAR = 0.05  # of the geodesic diameter of the target: beyond it a match is wrong
 REACH = 0.02  # of the geodesic diameter of the source: a match covers what lies nearer
 _PAIRS = 60
 _QUICK_PAIRS = 12
@@ -56,10 +55,9 @@ class CorrectMatches:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Embedded:
-    """A shape in the eyes of several models."""
+    """Where the points of the template lie on a shape, and its embedding by several models."""
 
-    shape: Shape
-    index: IntArray
+    truth: Truth
     values: Mapping[str, FloatArray]
 
 
@@ -92,20 +90,17 @@ def correct_matches(
         Names of models whose values on the target get, column by column, the sign that the true
         map gives them. That needs the answer: it tells what arbitrary signs cost.
     """
-    seen = embedder(setting, models)
-    places: dict[str, list[int]] = {}
-    for place, (_, target) in enumerate(pairs):
-        places.setdefault(target.name, []).append(place)
+    embedded = embedder(setting, models)
     key = models_key(models)
     correct: dict[tuple[str, int], BoolArray] = {}
-    with setting.progress(f"matching by {', '.join(models)}", len(pairs)) as went:
-        for group in places.values():
+    with setting.progress(f"matching by {', '.join(models)}", len(pairs)) as advance:
+        for group in _places([target for _, target in pairs]):
             target = pairs[group[0]][1]
             sources = [pairs[place][0] for place in group]
 
             def compute(target: Shape = target, sources: list[Shape] = sources) -> Arrays:
                 found = _correct_on_target(
-                    seen(target), [seen(source) for source in sources], models, true_signs
+                    embedded(target), [embedded(source) for source in sources], models, true_signs
                 )
                 return {f"{name} {i}": right for (name, i), right in found.items()}
 
@@ -123,7 +118,7 @@ def correct_matches(
                 for i, place in enumerate(group)
                 for name in models
             }
-            went(len(group))
+            advance(len(group))
     results = {name: tuple(correct[name, i] for i in range(len(pairs))) for name in models}
     covered = _covered(setting, results, pairs)
     return tuple(CorrectMatches(name, results[name], covered[name]) for name in models)
@@ -195,18 +190,27 @@ def models_key(models: Mapping[str, Model]) -> str:
 
 def embedder(setting: Setting, models: Mapping[str, Model]) -> Callable[[Shape], Embedded]:
     """A function that embeds a shape by several models, each shape once."""
-    embedded: dict[str, Embedded] = {}
+    known: dict[str, Embedded] = {}
 
-    def seen(shape: Shape) -> Embedded:
-        if shape.name not in embedded:
-            mesh = shape.mesh()
+    def embedded(shape: Shape) -> Embedded:
+        if shape.name not in known:
+            truth = truth_of(shape)
             values = {
-                name: model.embed_mesh(mesh, cache=setting.cache) for name, model in models.items()
+                name: model.embed_mesh(truth.mesh, cache=setting.cache)
+                for name, model in models.items()
             }
-            embedded[shape.name] = Embedded(shape, shape.correspondence(), values)
-        return embedded[shape.name]
+            known[shape.name] = Embedded(truth, values)
+        return known[shape.name]
 
-    return seen
+    return embedded
+
+
+def _places(shapes: Sequence[Shape]) -> list[list[int]]:
+    """The places at which each shape of a sequence is, shapes in order of first appearance."""
+    places: dict[str, list[int]] = {}
+    for place, shape in enumerate(shapes):
+        places.setdefault(shape.name, []).append(place)
+    return list(places.values())
 
 
 def _correct_on_target(
@@ -215,28 +219,23 @@ def _correct_on_target(
     models: Mapping[str, Model],
     true_signs: Sequence[str],
 ) -> dict[tuple[str, int], BoolArray]:
-    mesh = target.shape.mesh()
-    graph = geodesic_graph(mesh)
-    radius = NEAR * geodesic_diameter(mesh, graph=graph)
-    keys, predicted, truth = [], [], []
+    truth = replace(target.truth, symmetric=None)
+    keys, predicted = [], []
     for i, source in enumerate(sources):
-        shared = (source.index >= 0) & (target.index >= 0)
+        points = source.truth.index
+        shared = (points >= 0) & (truth.index >= 0)
         for name, model in models.items():
             values = target.values[name]
             if name in true_signs:
-                alike = source.values[name][source.index[shared]]
-                values = values * np.sign((alike * values[target.index[shared]]).sum(axis=0))
+                alike = source.values[name][points[shared]]
+                values = values * np.sign((alike * values[truth.index[shared]]).sum(axis=0))
             index, distance = nearest(source.values[name], values)
             if model.margin is not None:
                 index = np.where(distance**2 <= model.threshold(), index, -1)
             keys.append((name, i))
-            predicted.append(np.where(shared, index[source.index], -1))
-            truth.append(target.index)
-    # all at once, so that each vertex is the source of distances only once
-    [errors] = geodesic_errors(
-        graph, np.concatenate(predicted), (np.concatenate(truth),), limit=radius
-    )
-    return dict(zip(keys, np.split(errors <= radius, len(keys)), strict=True))
+            predicted.append(np.where(shared, index[points], -1))
+    errors = errors_on_target(truth, np.stack(predicted), limit=NEAR)
+    return dict(zip(keys, errors.direct <= NEAR * errors.diameter, strict=True))
 
 
 def _covered(
@@ -245,11 +244,8 @@ def _covered(
     pairs: Sequence[tuple[Shape, Shape]],
 ) -> dict[str, FloatArray]:
     covered: dict[str, FloatArray] = {name: np.empty(len(pairs)) for name in results}
-    places: dict[str, list[int]] = {}
-    for place, (source, _) in enumerate(pairs):
-        places.setdefault(source.name, []).append(place)
-    with setting.progress("measuring coverage", len(pairs)) as went:
-        for group in places.values():
+    with setting.progress("measuring coverage", len(pairs)) as advance:
+        for group in _places([source for source, _ in pairs]):
             source = pairs[group[0]][0]
             mesh, index = source.mesh(), source.correspondence()
             graph, areas = geodesic_graph(mesh), vertex_areas(mesh)
@@ -258,5 +254,5 @@ def _covered(
                 matched = np.unique(index[results[name][place]])
                 near = np.isfinite(graph.distances_to_any(matched, limit=radius))
                 covered[name][place] = areas[near].sum() / areas.sum()
-            went(len(group))
+            advance(len(group))
     return covered

@@ -6,12 +6,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib import colormaps
+from matplotlib.figure import Figure
 
 from esd.common import FloatArray, IntArray
 from esd.experiments.report import Report, Table
 from esd.experiments.setting import KINDS, Setting, described, paper_training
 from esd.learning.dimension import components_needed, nearest_neighbours, residual_variances
 from esd.learning.pairs import standardisation
+from esd.viewing.figures import blank_figure
 
 NEIGHBOURS = range(6, 26)
 """Numbers of neighbours that the paper tries."""
@@ -51,14 +54,14 @@ def run(setting: Setting) -> DimensionOutcome:
     picks = _QUICK_PICKS if setting.quick else _PICKS
     residuals: dict[str, dict[int, FloatArray]] = {}
     needed: dict[str, dict[int, IntArray]] = {}
-    with setting.progress("analysing neighbourhoods", len(samples)) as went:
+    with setting.progress("analysing neighbourhoods", len(samples)) as advance:
         for name, values in samples.items():
             places = generator.choice(len(values), size=min(picks, len(values)), replace=False)
             near = nearest_neighbours(values, places, count=_FAR)
             found = {k: residual_variances(values, near[:, :k]) for k in (*NEIGHBOURS, _FAR)}
             residuals[name] = {k: left.mean(axis=0) for k, left in found.items()}
             needed[name] = {k: components_needed(left) for k, left in found.items()}
-            went(1)
+            advance(1)
     return DimensionOutcome(residuals, _report(residuals, needed))
 
 
@@ -103,3 +106,28 @@ def _report(
         ),
         (components, left, every),
     )
+
+
+def figures(outcome: DimensionOutcome) -> dict[str, Figure]:
+    """Residual variance by number of components: raw above, standardised below."""
+    figure = blank_figure(9, 5.5)
+    panels = figure.subplots(2, len(KINDS), sharex=True, sharey=True)
+    colours = colormaps["viridis"](np.linspace(0, 0.9, len(NEIGHBOURS)))
+    for row, scaling in zip(panels, ("", ", standardised"), strict=True):
+        for axes, kind in zip(row, KINDS, strict=True):
+            name = kind.upper() + scaling
+            for k, colour in zip(NEIGHBOURS, colours, strict=True):
+                axes.plot(outcome.residuals[name][k], color=colour, label=f"k = {k}")
+            axes.plot(outcome.residuals["noise"][NEIGHBOURS[-1]], "k:", label="noise, k = 25")
+            axes.axhline(0.01, color="grey", linewidth=0.5)
+            axes.axvline(5, color="grey", linewidth=0.5)
+            axes.set_title(name, fontsize=9)
+            axes.set_xlim(0, 15)
+    for axes in panels[-1]:
+        axes.set_xlabel("principal components")
+    for row in panels:
+        row[0].set_ylabel("residual variance")
+    lines, labels = panels[0, 0].get_legend_handles_labels()
+    some = [0, 9, 19, 20]  # k = 6, 15, 25, and noise
+    panels[0, -1].legend([lines[i] for i in some], [labels[i] for i in some], fontsize=8)
+    return {"dimension": figure}

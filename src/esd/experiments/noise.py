@@ -2,88 +2,51 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from scipy.stats import rankdata
+from matplotlib import colormaps
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from scipy.spatial import KDTree
 
-from esd.common import BoolArray, FloatArray, IntArray
+from esd.common import FloatArray, IntArray
 from esd.datasets.collection import Shape
 from esd.datasets.parts import Perturbed
 from esd.datasets.perturb import PERTURBATIONS
 from esd.descriptors.recipe import recipe_spectrum
-from esd.evaluation.errors import geodesic_errors
-from esd.experiments.counting import NEAR, drawn_pairs, models_key
-from esd.experiments.report import Report, Table
+from esd.evaluation.errors import cumulative_curve, errors_on_target, truth_of
+from esd.experiments.counting import drawn_pairs, models_key
+from esd.experiments.noisy_maps import (
+    CLEAN,
+    MODELS,
+    PARTIAL,
+    THRESHOLDS,
+    NoisyMaps,
+    mean_error,
+    noise_report,
+    precision_recall,
+    series_of,
+)
+from esd.experiments.report import Report
 from esd.experiments.setting import Setting, fingerprint
 from esd.learning.model import Model, load_model
 from esd.matching.correspondence import Correspondence
 from esd.matching.features import Features, shape_features
 from esd.matching.match import match_features
-from esd.mesh.geodesics import geodesic_diameter, geodesic_graph
 from esd.mesh.mesh import Mesh
 from esd.mesh.repair.repair import repair
 from esd.spectral.cache import Arrays, Cache, content_key
-
-MODELS = {"HKS": "hks", "EHKS": "paper-hks", "default": "default"}
-"""Models that come with the package, by their names in tables and figures."""
-
-CLEAN = "nothing"
-"""Name of the noise that shapes have before any is made."""
-
-PARTIAL = ("holes", "cut")
-"""Noise that takes parts away."""
-
-THRESHOLDS = np.linspace(0, 1, 101)
-"""Of the confidence above which a vertex is said to have a counterpart."""
+from esd.viewing.figures import axis_up, blank_figure, draw_mesh
 
 _AS_THEY_ARE = ("HKS", "EHKS")
+
 _PAIRS = 4
+
 _QUICK_PAIRS = 1
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class NoisyMaps:
-    """Maps between shapes disturbed in one way and clean shapes by one model, pair after pair.
-
-    Parameters
-    ----------
-    noise, level
-        Of `PERTURBATIONS`, or `CLEAN` and zero.
-    model
-        One of `MODELS`.
-    errors, nearer : (pairs, points)
-        Of the map from the disturbed shape, the geodesic error as a share of the target's
-        diameter, and that to the nearer of the true and the mirrored vertex where that is known.
-        NaN at points that either shape lacks.
-    confidence : (pairs, points)
-        Of these matches.
-    verdicts : (pairs,)
-        On the maps.
-    reverse : (pairs, points)
-        Of the map from the clean shape to the disturbed one, the confidence at the points that the
-        clean one has. NaN elsewhere, and where no parts are missing.
-    present : (pairs, points)
-        Whether the disturbed shape has the point.
-    """
-
-    noise: str
-    level: float
-    model: str
-    errors: FloatArray
-    nearer: FloatArray
-    confidence: FloatArray
-    verdicts: tuple[str, ...]
-    reverse: FloatArray
-    present: BoolArray
-
-    def counterparts(self) -> tuple[FloatArray, BoolArray]:
-        """Confidence of all points of the clean shapes, and whether they have a counterpart."""
-        known = np.isfinite(self.reverse)
-        return self.reverse[known], self.present[known]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,7 +68,7 @@ class NoiseOutcome:
 
     def series(self, noise: str, model: str) -> tuple[NoisyMaps, ...]:
         """Maps by rising level of a noise, the clean ones first."""
-        return _series(self.maps, noise, model)
+        return series_of(self.maps, noise, model)
 
 
 def run(setting: Setting) -> NoiseOutcome:
@@ -123,13 +86,13 @@ def run(setting: Setting) -> NoiseOutcome:
         for level in (kind.levels[1::2] if setting.quick else kind.levels)
     ]
     parts: dict[tuple[str, float], list[Arrays]] = {step: [] for step in grid}
-    with setting.progress("matching disturbed shapes", len(pairs) * len(grid)) as went:
+    with setting.progress("matching disturbed shapes", len(pairs) * len(grid)) as advance:
         for place, pair in enumerate(pairs):
             matched = _matching(setting, models, pair, seed=setting.seed + place)
             found = []
             for name, level in grid:
                 found.append(matched(name, level))
-                went(1)
+                advance(1)
             for part, arrays in zip(
                 parts.values(), _with_errors(setting, pair[1], found), strict=True
             ):
@@ -144,7 +107,7 @@ def run(setting: Setting) -> NoiseOutcome:
         (name, level): _disturbed(name, first.mesh(), level, seed=setting.seed)
         for name, level in grid
     }
-    return NoiseOutcome(maps, shown, first.correspondence(), _report(pairs, maps))
+    return NoiseOutcome(maps, shown, first.correspondence(), noise_report(pairs, maps))
 
 
 def _disturbed(noise: str, mesh: Mesh, level: float, *, seed: int) -> Perturbed:
@@ -153,26 +116,26 @@ def _disturbed(noise: str, mesh: Mesh, level: float, *, seed: int) -> Perturbed:
     return PERTURBATIONS[noise].disturb(mesh, level, seed=seed)
 
 
-def _described(models: Mapping[str, Model], mesh: Mesh, kept: Cache | None) -> dict[str, Features]:
-    """A shape in the eyes of all models."""
+def _features(models: Mapping[str, Model], mesh: Mesh, cache: Cache | None) -> dict[str, Features]:
+    """Features of a shape by all models."""
     # all of `MODELS` take the same spectrum
     recipe = next(iter(models.values())).recipe
     plain, restored = repair(mesh), repair(mesh, restore=True)
-    as_it_is = as_matched = (plain, recipe_spectrum(recipe, plain.shape, cache=kept))
+    as_it_is = as_matched = (plain, recipe_spectrum(recipe, plain.shape, cache=cache))
     if restored.done != plain.done:
-        as_matched = (restored, recipe_spectrum(recipe, restored.shape, cache=kept))
-    described = {}
+        as_matched = (restored, recipe_spectrum(recipe, restored.shape, cache=cache))
+    features = {}
     for name, model in models.items():
         shape, pairs = as_it_is if name in _AS_THEY_ARE else as_matched
-        described[name] = shape_features(shape, model=model, pairs=pairs)
-    return described
+        features[name] = shape_features(shape, model=model, pairs=pairs)
+    return features
 
 
 def _matches(
     models: Mapping[str, Model], source: Mapping[str, Features], target: Mapping[str, Features]
 ) -> tuple[Correspondence, ...]:
     return tuple(
-        match_features(source[name], target[name], model=model, refine=None, one_to_one=False)
+        match_features(source[name], target[name], model=model, refine=None)
         for name, model in models.items()
     )
 
@@ -186,7 +149,7 @@ def _matching(
 
     @cache
     def clean() -> dict[str, Features]:
-        return _described(models, target.mesh(), setting.cache)
+        return _features(models, target.mesh(), setting.cache)
 
     def matched(noise: str, level: float) -> Arrays:
         part = content_key(
@@ -219,7 +182,7 @@ def _maps_of_pair(
     there = target.correspondence()
     disturbed = _disturbed(noise, source.mesh(), level, seed=seed)
     here = _followed(source.correspondence(), disturbed.vertex_index)
-    rest = _described(models, disturbed.mesh, None)
+    rest = _features(models, disturbed.mesh, None)
     forth = _matches(models, rest, clean)
     reverse = np.full((len(models), len(there)), np.nan)
     if noise in PARTIAL:
@@ -238,24 +201,14 @@ def _maps_of_pair(
 def _with_errors(setting: Setting, target: Shape, parts: Sequence[Arrays]) -> list[Arrays]:
     """The parts of one pair with the errors of their maps as shares of the target's diameter."""
     predicted = np.stack([part["predicted"] for part in parts])
-    truths = [target.correspondence()]
-    if target.symmetric is not None:
-        truths.append(target.symmetric())
+    truth = truth_of(target)
+    truths = [truth.index] if truth.symmetric is None else [truth.index, truth.symmetric]
 
     def compute() -> Arrays:
-        # all at once, so that each vertex is the source of distances only once
-        graph = geodesic_graph(target.mesh())
-        found = geodesic_errors(
-            graph,
-            predicted.ravel(),
-            tuple(np.tile(truth, predicted[..., 0].size) for truth in truths),
-        )
-        diameter = geodesic_diameter(target.mesh(), graph=graph)
-        errors = {"errors": found[0], "nearer": np.fmin.reduce(found)}
-        # on another piece, infinitely far
+        found = errors_on_target(truth, predicted.reshape(-1, predicted.shape[-1]))
         return {
-            name: np.minimum(error / diameter, 1).reshape(predicted.shape)
-            for name, error in errors.items()
+            name: (errors / found.diameter).reshape(predicted.shape)
+            for name, errors in (("errors", found.direct), ("nearer", found.nearer))
         }
 
     key = content_key(
@@ -293,167 +246,116 @@ def _joined(parts: Sequence[Arrays], noise: str, level: float, model: str, place
     )
 
 
-def _series(maps: Sequence[NoisyMaps], noise: str, model: str) -> tuple[NoisyMaps, ...]:
-    return tuple(one for one in maps if one.noise in (CLEAN, noise) and one.model == model)
+_WORST = 0.25  # of the diameter, where the paper's colours end
+
+_STYLES = {"HKS": "C0s--", "EHKS": "C1o-", "default": "C2D-"}
 
 
-def mean_error(maps: NoisyMaps) -> float:
-    """Mean over pairs of the mean error of each, up to left and right, in percent."""
-    return 100 * float(np.nanmean(np.nanmean(maps.nearer, axis=1)))
+def figures(outcome: NoiseOutcome) -> dict[str, Figure]:
+    """Errors by level, their distribution, what confidence tells of missing parts, and pictures."""
+    painted = {
+        f"painted-{noise.replace(' ', '-')}": _painted(outcome, noise) for noise in PERTURBATIONS
+    }
+    return {
+        "errors": _errors(outcome),
+        "curves": _curves(outcome),
+        "counterparts": _counterparts(outcome),
+        **painted,
+    }
 
 
-def precision_recall(maps: NoisyMaps, thresholds: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Of 'a vertex has a counterpart where its confidence is at least the threshold'.
+def _errors(outcome: NoiseOutcome) -> Figure:
+    """Mean error over the level, a panel a noise; bars are standard deviations over pairs."""
+    figure = blank_figure(2.4 * len(PERTURBATIONS), 2.8)
+    panels = figure.subplots(1, len(PERTURBATIONS), sharey=True)
+    for axes, (noise, kind) in zip(panels, PERTURBATIONS.items(), strict=True):
+        for model, style in _STYLES.items():
+            series = outcome.series(noise, model)
+            deviation = [100 * np.nanmean(maps.nearer, axis=1).std() for maps in series]
+            levels, means = [maps.level for maps in series], [mean_error(maps) for maps in series]
+            axes.errorbar(
+                levels, means, deviation, fmt=style, markersize=3, elinewidth=0.6, label=model
+            )
+        axes.set_title(noise, fontsize=9)
+        axes.set_xlabel(kind.unit, fontsize=8)
+        axes.grid(alpha=0.3)
+    panels[0].set_ylim(bottom=0)
+    panels[0].set_ylabel("mean error, % of the diameter", fontsize=8)
+    panels[0].legend(fontsize=7)
+    return figure
 
-    Precision is one where no vertex is said to have a counterpart.
+
+def _curves(outcome: NoiseOutcome) -> Figure:
+    """Share of points within an error, a row a model, a column a noise, a line a level."""
+    figure = blank_figure(2.4 * len(PERTURBATIONS), 2 * len(MODELS))
+    panels = figure.subplots(len(MODELS), len(PERTURBATIONS), sharex=True, sharey=True)
+    radii = np.linspace(0, _WORST, 101)
+    for row, model in zip(panels, MODELS, strict=True):
+        for axes, noise in zip(row, PERTURBATIONS, strict=True):
+            series = outcome.series(noise, model)
+            for maps, colour in zip(series, _shades(series), strict=True):
+                known = maps.nearer[np.isfinite(maps.nearer)]
+                share = 100 * cumulative_curve(known, radii)
+                axes.plot(100 * radii, share, color=colour, label=f"{maps.level:g}")
+            axes.set(xlim=(0, 100 * _WORST), ylim=(0, 100))
+            axes.grid(alpha=0.3)
+            axes.set_title(f"{model}, {noise}", fontsize=8)
+            if model == next(iter(MODELS)):
+                axes.legend(fontsize=6, loc="lower right")
+        row[0].set_ylabel("points, %", fontsize=8)
+    for axes in panels[-1]:
+        axes.set_xlabel("error, % of the diameter", fontsize=8)
+    return figure
+
+
+def _counterparts(outcome: NoiseOutcome) -> Figure:
+    """Precision over recall of 'has a counterpart', a row a model, a column a noise."""
+    figure = blank_figure(3 * len(PARTIAL), 2.4 * len(MODELS))
+    panels = figure.subplots(len(MODELS), len(PARTIAL), sharex=True, sharey=True)
+    for row, model in zip(panels, MODELS, strict=True):
+        for axes, noise in zip(row, PARTIAL, strict=True):
+            series = outcome.series(noise, model)[1:]
+            for maps, colour in zip(series, _shades(series), strict=True):
+                precision, recall = precision_recall(maps, THRESHOLDS)
+                axes.plot(100 * recall, 100 * precision, color=colour, label=f"{maps.level:g}")
+                share = 100 * maps.counterparts()[1].mean()
+                axes.axhline(share, color=colour, linewidth=0.6, linestyle=":")
+            axes.set_title(f"{model}, {noise}", fontsize=8)
+            axes.set(xlim=(0, 101), ylim=(40, 101))
+            axes.grid(alpha=0.3)
+            if model == next(iter(MODELS)):
+                axes.legend(fontsize=6, loc="lower left", title="level", title_fontsize=6)
+        row[0].set_ylabel("precision, %", fontsize=8)
+    for axes in panels[-1]:
+        axes.set_xlabel("recall, %", fontsize=8)
+    return figure
+
+
+def _painted(outcome: NoiseOutcome, noise: str) -> Figure:
+    """Errors on the first disturbed shape, a row a model, a column a level, as in the paper.
+
+    Vertices that are no point of the template are painted as the nearest that is one.
     """
-    confidence, has = maps.counterparts()
-    says = confidence >= thresholds[:, None]
-    right = (says & has).sum(axis=1)
-    return np.where(says.any(axis=1), right / np.maximum(says.sum(axis=1), 1), 1.0), (
-        right / max(int(has.sum()), 1)
-    )
+    columns = len(outcome.series(noise, "default"))
+    figure = blank_figure(1.7 * columns + 0.6, 2.3 * len(MODELS))
+    panels = figure.subplots(len(MODELS), columns)
+    scale = ScalarMappable(Normalize(0, 100 * _WORST), "viridis")
+    up = axis_up(shown.mesh for shown in outcome.shown.values())
+    for row, model in zip(panels, MODELS, strict=True):
+        for axes, maps in zip(row, outcome.series(noise, model), strict=True):
+            shown = outcome.shown[maps.noise, maps.level]
+            vertex = np.where(outcome.points >= 0, shown.vertex_index[outcome.points], -1)
+            known = (vertex >= 0) & np.isfinite(maps.nearer[0])
+            places = shown.mesh.vertices[vertex[known]]
+            _, nearest = KDTree(places).query(shown.mesh.vertices)
+            colours = scale.to_rgba(100 * maps.nearer[0, known])[nearest, :3]
+            draw_mesh(axes, shown.mesh, colours, up)
+            mean = 100 * maps.nearer[0, known].mean()
+            axes.set_title(f"{model}, {maps.level:g}: {mean:.1f} %", fontsize=7)
+    figure.colorbar(scale, ax=panels, shrink=0.5, extend="max", label="error, % of the diameter")
+    return figure
 
 
-def separation(maps: NoisyMaps) -> float:
-    """Probability that a vertex with a counterpart has more confidence than one without.
-
-    The area under the curve of true over false positives; NaN where all or none have one.
-    """
-    confidence, has = maps.counterparts()
-    with_one, without = int(has.sum()), int((~has).sum())
-    if not with_one or not without:
-        return float("nan")
-    ranks = rankdata(confidence)[has].sum()
-    return float((ranks - with_one * (with_one + 1) / 2) / (with_one * without))
-
-
-def _report(pairs: Sequence[tuple[Shape, Shape]], maps: Sequence[NoisyMaps]) -> Report:
-    partial = [one for one in maps if one.noise in PARTIAL]
-    return Report(
-        "Noise in position and connectivity, and missing parts",
-        (
-            "Disturbed shapes are mapped to clean ones of other subjects; pairs at each level: "
-            f"{len(pairs)}. Errors are shares of the target's geodesic diameter, to the nearer of "
-            "the true and the mirrored vertex where that is known: HKS and its embedding cannot "
-            "tell them apart. The paper names neither levels nor figures; by its text HKS "
-            "deteriorates significantly with noise, while its embedding remains quite robust. Both "
-            "see shapes as they are. For the default model small holes are filled and noise is "
-            "smoothed, as `esd match` does.",
-            "\n".join(_growth(maps, noise) for noise in PERTURBATIONS),
-        ),
-        (
-            _errors_table(maps),
-            _verdicts_table(maps),
-            _counterparts_table(partial),
-            Table(
-                "thresholds",
-                "Precision and recall of 'has a counterpart' by threshold of the confidence",
-                ("noise", "level", "model", "threshold", "precision", "recall"),
-                tuple(
-                    (one.noise, one.level, one.model, *map(float, row))
-                    for one in partial
-                    for row in zip(THRESHOLDS, *precision_recall(one, THRESHOLDS), strict=True)
-                ),
-                shown=False,
-            ),
-        ),
-    )
-
-
-def _growth(maps: Sequence[NoisyMaps], noise: str) -> str:
-    """How the error of each model grows, in a line."""
-    words = []
-    for model in MODELS:
-        clean, *_, worst = _series(maps, noise, model)
-        before, after = mean_error(clean), mean_error(worst)
-        words.append(f"{model} from {before:.1f} to {after:.1f} % ({after - before:+.1f})")
-    level = f"{worst.level:g} ({PERTURBATIONS[noise].unit})"
-    return f"- {noise.capitalize()}, from none to {level}: {', '.join(words)}."
-
-
-def _errors_table(maps: Sequence[NoisyMaps]) -> Table:
-    rows = []
-    for noise in PERTURBATIONS:
-        series = [_series(maps, noise, model) for model in MODELS]
-        for same in zip(*series, strict=True):
-            *_, default = same
-            rows.append(
-                (
-                    noise,
-                    default.level,
-                    *map(mean_error, same),
-                    100 * float(np.nanmean(np.nanmean(default.errors, axis=1))),
-                )
-            )
-    return Table(
-        "errors",
-        "Mean error, percent of the diameter, up to left and right; and of the default model to "
-        "the true vertex alone",
-        ("noise", "level", *MODELS, "default, true side"),
-        tuple(rows),
-    )
-
-
-def _verdicts_table(maps: Sequence[NoisyMaps]) -> Table:
-    """What the default model says of its maps, beside what they are."""
-    rows = []
-    for noise in PERTURBATIONS:
-        for one in _series(maps, noise, "default"):
-            known = np.isfinite(one.errors)
-            right = 100 * (one.errors <= NEAR).sum(axis=1) / known.sum(axis=1)
-            said = Counter(one.verdicts)
-            rows.append(
-                (
-                    noise,
-                    one.level,
-                    float(right.mean()),
-                    100 * float(np.nanmean(one.confidence[known])),
-                    ", ".join(f"{verdict} {count}" for verdict, count in said.most_common()),
-                )
-            )
-    return Table(
-        "verdicts",
-        f"The default model: matches within {NEAR:.0%} of the diameter, the share it expects, and "
-        "its verdicts",
-        ("noise", "level", "right %", "expected %", "verdicts"),
-        tuple(rows),
-    )
-
-
-def _counterparts_table(partial: Sequence[NoisyMaps]) -> Table:
-    rows = []
-    for one in partial:
-        confidence, has = one.counterparts()
-        precision, recall = precision_recall(one, np.array([0.5]))
-        rows.append(
-            (
-                one.noise,
-                one.level,
-                one.model,
-                100 * float(has.mean()),
-                float(confidence[has].mean()),
-                float(confidence[~has].mean()) if not has.all() else None,
-                separation(one),
-                100 * float(precision[0]),
-                100 * float(recall[0]),
-            )
-        )
-    return Table(
-        "counterparts",
-        "Clean shapes mapped to shapes with missing parts: does confidence tell which vertices "
-        "have a counterpart? Separation is the probability that one with a counterpart has more "
-        "confidence than one without; precision and recall are those of confidence from 0.5",
-        (
-            "noise",
-            "level",
-            "model",
-            "with counterpart %",
-            "their confidence",
-            "that of others",
-            "separation",
-            "precision %",
-            "recall %",
-        ),
-        tuple(rows),
-    )
+def _shades(series: Sequence[NoisyMaps]) -> FloatArray:
+    """Colours that grow lighter with the level."""
+    return np.asarray(colormaps["viridis"](np.linspace(0, 0.9, len(series))))

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+from matplotlib.figure import Figure
+
 from esd.common import FloatArray
 from esd.datasets.collection import Shape
 from esd.experiments.counting import correct_matches, drawn_pairs
@@ -12,6 +14,7 @@ from esd.experiments.report import Report, Table
 from esd.experiments.setting import KINDS, Setting, fingerprint, paper_training, trained
 from esd.learning.model import Model, raw_model
 from esd.mesh.mesh import Mesh
+from esd.viewing.figures import blank_figure
 
 FACTORS = (0.5, 0.8, 1.0, 1.25, 2.0)
 """Sizes of the target, in units of its own."""
@@ -71,3 +74,21 @@ def _scaled(shape: Shape, factor: float) -> Shape:
         return Mesh(factor * original.vertices, original.faces)
 
     return replace(shape, name=f"{shape.name} x {factor:g}", mesh=mesh)
+
+
+def figures(outcome: ScaleOutcome) -> dict[str, Figure]:
+    """Share of correct matches by size of the target."""
+    figure = blank_figure(9, 3.2)
+    panels = figure.subplots(1, len(KINDS), sharey=True)
+    for axes, kind in zip(panels, map(str.upper, KINDS), strict=True):
+        for name, shares in outcome.shares.items():
+            if name.split(",")[0] in (kind, f"E{kind}"):
+                style = "x--" if "unit" in name else "o-"
+                colour = "C1" if name.startswith("E") else "C0"
+                axes.semilogx(FACTORS, shares, style, color=colour, label=name)
+        axes.set_xticks(FACTORS, [f"{factor:g}" for factor in FACTORS], minor=False)
+        axes.minorticks_off()
+        axes.set_xlabel("size of the target")
+        axes.legend(fontsize=7, handlelength=3.5)
+    panels[0].set_ylabel("correct matches, %")
+    return {"scale": figure}

@@ -11,7 +11,7 @@ from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from esd.common import DISTRIBUTION
+from esd import __version__
 from esd.datasets.collection import Collection
 from esd.learning.fit import fit
 from esd.learning.model import Model, load_model, save_model
@@ -23,7 +23,7 @@ KINDS = ("gps", "hks", "wks")
 """The descriptors of the paper, in the order of its tables."""
 
 _QUICK_STEPS = 1000
-_PACKAGES = (DISTRIBUTION, "numpy", "scipy", "torch")
+_PACKAGES = ("numpy", "scipy", "torch")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -161,7 +161,7 @@ def provenance(settings: Sequence[Setting]) -> dict[str, str]:
             subjects = ", ".join(part.subjects)
             facts[f"{name}, {what} on"] = f"{len(part.shapes)} shapes of {subjects}"
     facts["Versions"] = ", ".join(
-        [f"Python {platform.python_version()}", *map(_version, _PACKAGES)]
+        [f"Python {platform.python_version()}", f"esd {__version__}", *map(_version, _PACKAGES)]
     )
     return facts
 

@@ -6,10 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from esd.datasets.collection import Shape
 from esd.experiments.counting import CorrectMatches, correct_matches, drawn_pairs, summary
 from esd.experiments.paper import TABLE1, TABLE1_POINTS
+from esd.experiments.pictures import counts_figure, matches_figure
 from esd.experiments.report import Report, Table
 from esd.experiments.setting import KINDS, Setting, fingerprint, paper_training, trained
 from esd.learning.model import raw_model
@@ -90,3 +92,12 @@ def _finding(matched: Sequence[CorrectMatches], points: int) -> str:
         f"{covered[f'E{name}']:.0%} of the body against {covered[name]:.0%}."
         for name in map(str.upper, KINDS)
     )
+
+
+def figures(outcome: Table1Outcome) -> dict[str, Figure]:
+    """The correct matches of six pairs, source and target side by side, by each descriptor."""
+    rows = [
+        (pair, {f"{m.name}: {m.counts[i]}": m.correct[i] for m in outcome.matched})
+        for i, pair in enumerate(outcome.pairs[:SHOWN])
+    ]
+    return {"matches": matches_figure(rows), "counts": counts_figure(outcome.matched)}

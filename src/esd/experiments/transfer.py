@@ -6,12 +6,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from esd.common import InputError
 from esd.experiments.counting import correct_matches, drawn_pairs
 from esd.experiments.report import Report, Table
 from esd.experiments.setting import KINDS, Setting, fingerprint, paper_training, trained
 from esd.learning.model import raw_model
+from esd.viewing.figures import blank_figure
 
 UNEMBEDDED = "not embedded"
 
@@ -73,3 +75,24 @@ def run(*settings: Setting) -> TransferOutcome:
     return TransferOutcome(
         shares, names, Report("Transfer between collections", (finding,), (matrix,))
     )
+
+
+def figures(outcome: TransferOutcome) -> dict[str, Figure]:
+    """Share of correct matches by what was trained on and what was tested on."""
+    names = outcome.collections
+    rows = (UNEMBEDDED, *names)
+    figure = blank_figure(3.2 * len(KINDS), 1 + 0.6 * len(rows))
+    shares = np.array(
+        [[[outcome.shares[kind, row, test] for test in names] for row in rows] for kind in KINDS]
+    )
+    for axes, kind, matrix in zip(figure.subplots(1, len(KINDS)), KINDS, shares, strict=True):
+        axes.imshow(matrix, vmin=0, vmax=shares.max(), aspect="auto")
+        for (i, j), share in np.ndenumerate(matrix):
+            colour = "white" if share < 0.6 * shares.max() else "black"
+            axes.text(j, i, f"{share:.1f}", ha="center", va="center", color=colour)
+        axes.set_xticks(range(len(names)), names)
+        axes.set_yticks(range(len(rows)), rows if kind == KINDS[0] else [""] * len(rows))
+        axes.set_xlabel("tested on")
+        axes.set_title(f"{kind.upper()}, correct %", fontsize=9)
+    figure.axes[0].set_ylabel("trained on")
+    return {"transfer": figure}
