@@ -251,6 +251,7 @@ def save_features(features: Features, folder: Path) -> None:
     spectrum, copy = features.spectrum, features.copy
     arrays = {
         "vertices": features.shape.vertices,
+        "positions": features.positions,
         "eigenvalues": spectrum.eigenvalues,
         "eigenvectors": spectrum.eigenvectors,
         "mass": spectrum.mass,
@@ -291,6 +292,7 @@ def load_features(folder: Path) -> Features:
     )
     return Features(
         shape,
+        arrays["positions"],
         spectrum,
         arrays["values"],
         arrays["embedded"],

@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from esd.common import BoolArray, FloatArray, IntArray
-from esd.matching.extrinsic import Posed, posed
+from esd.matching.extrinsic import Posed, posed, unit
 from esd.matching.features import Features
 from esd.matching.functional_map import functional_map, spectral_rows
 from esd.matching.refine import zoomout
-from esd.mesh.geometry import face_areas, surface_area
+from esd.mesh.geometry import face_areas, surface_area, vertex_normals
 from esd.mesh.mesh import Mesh
 from esd.nearest import nearest
 from esd.spectral.spectrum import Spectrum
@@ -103,8 +103,8 @@ def sampled(features: Features, *, seed: int = 0) -> Sampled:
     filling: BoolArray = np.zeros(len(mesh.vertices), dtype=bool)
     if features.copy is None:
         filling = features.is_filling()
-    pose = posed(mesh, filling=filling, seed=seed)
-    unit = features.spectrum.with_area(1.0)
+    pose = posed(Mesh(features.positions, mesh.faces), filling=filling, seed=seed)
+    spectrum = features.spectrum.with_area(1.0)
     count = len(pose.sample)
     area = np.where(filling[mesh.faces].any(axis=1), 0.0, face_areas(mesh))
     chosen = np.random.default_rng(seed).choice(
@@ -118,12 +118,14 @@ def sampled(features: Features, *, seed: int = 0) -> Sampled:
         features,
         pose,
         replace(  # a sample drawn by area has the same area at each vertex
-            unit, eigenvectors=unit.eigenvectors[pose.sample], mass=np.full(count, 1 / count)
+            spectrum,
+            eigenvectors=spectrum.eigenvectors[pose.sample],
+            mass=np.full(count, 1 / count),
         ),
         corners,
         triangles.reshape(-1, 3),
         mesh.vertices / np.sqrt(surface_area(mesh)),
-        pose.normals,
+        unit(vertex_normals(mesh)),
     )
 
 

@@ -20,7 +20,7 @@ _ROTATIONS = 8  # random starts beside the four of the principal axes
 _KEPT = 2  # starts that are aligned finely
 _TRIM = 0.8  # share of the correspondences nearer than which they count fully
 _CENTRES, _REACH = 60, 0.8  # of the Gaussian kernels that deform, in units of the radius
-_AMPLITUDE = 0.03  # expected displacement, in units of the radius
+_AMPLITUDE = 0.02  # expected displacement, in units of the radius
 _LANDMARK = 10.0  # weight of a landmark beside that of a nearest point
 _RESOLUTION = 0.01  # least residual that is believed, in units of the radius
 
@@ -54,12 +54,12 @@ class Posed:
     def moved(self, linear: FloatArray, shift: FloatArray) -> Posed:
         """The shape after an affine motion."""
         # normals move by the inverse transposed, which keeps them outside in reflections as well
-        normals = _unit(self.normals @ np.linalg.inv(linear))
+        normals = unit(self.normals @ np.linalg.inv(linear))
         return replace(self, points=self.points @ linear.T + shift, normals=normals)
 
     def displaced(self, points: npt.NDArray[np.float64]) -> Posed:
         """The shape with its vertices at other places."""
-        return replace(self, points=points, normals=_unit(vertex_normals(Mesh(points, self.faces))))
+        return replace(self, points=points, normals=unit(vertex_normals(Mesh(points, self.faces))))
 
 
 def posed(mesh: Mesh, *, filling: BoolArray | None = None, seed: int = 0) -> Posed:
@@ -79,7 +79,7 @@ def posed(mesh: Mesh, *, filling: BoolArray | None = None, seed: int = 0) -> Pos
     points /= np.sqrt(area @ (points**2).sum(axis=1))
     count = min(_SAMPLES, int(np.count_nonzero(area)))
     sample = np.random.default_rng(seed).choice(len(area), count, replace=False, p=area)
-    return Posed(points, _unit(vertex_normals(mesh)), usable, sample, mesh.faces)
+    return Posed(points, unit(vertex_normals(mesh)), usable, sample, mesh.faces)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -199,7 +199,8 @@ def deformed(
     return result
 
 
-def _unit(vectors: FloatArray) -> FloatArray:
+def unit(vectors: FloatArray) -> FloatArray:
+    """Vectors (n, 3) of length one in the same directions; null vectors stay."""
     length = np.linalg.norm(vectors, axis=1, keepdims=True)
     return vectors / np.maximum(length, np.finfo(float).tiny)
 

@@ -27,7 +27,9 @@ class Features:
     Parameters
     ----------
     shape
-        Repaired, or a coarse copy of that.
+        Repaired, or a copy of that.
+    positions : (r, 3)
+        Of its vertices before noise was smoothed, which thin bones do not survive.
     spectrum
         Of the shape.
     values : (r, w) float32
@@ -46,6 +48,7 @@ class Features:
     """
 
     shape: Mesh | PointCloud
+    positions: npt.NDArray[np.float64]
     spectrum: Spectrum
     values: npt.NDArray[np.float32]
     embedded: FloatArray
@@ -98,6 +101,7 @@ def reflected(features: Features, *, model: Model) -> Features:
     return replace(
         features,
         shape=mesh,
+        positions=features.positions * [-1.0, 1.0, 1.0],
         values=values,
         embedded=model.embed(values.astype(np.float64)),
         copy=copy,
@@ -144,6 +148,7 @@ def shape_features(
     operator = None if model.patches is None else patch_operator(model.patches, shape, cache=cache)
     return Features(
         shape,
+        repaired.positions if copy is None else shape.vertices,
         pairs,
         values.astype(np.float32),
         model.embed(values, operator),

@@ -58,6 +58,8 @@ class Repaired:
     ----------
     shape
         A `Mesh`, or a `PointCloud` where there were no faces.
+    positions : (r, 3)
+        Of the repaired vertices before they were smoothed.
     vertex_index : (n,)
         The repaired vertex of each original one; -1 where it could not be carried over.
     original_index : (r,)
@@ -71,6 +73,7 @@ class Repaired:
     """
 
     shape: Mesh | PointCloud
+    positions: npt.NDArray[np.float64]
     vertex_index: IntArray
     original_index: IntArray
     diagnosis: Diagnosis
@@ -102,6 +105,7 @@ class Repaired:
         return replace(
             self,
             shape=mesh,
+            positions=self.positions[place >= 0],
             vertex_index=np.where(self.vertex_index >= 0, place[self.vertex_index], -1),
             original_index=self.original_index[place >= 0],
         )
@@ -197,7 +201,7 @@ def repair(
     if done <= {"unreferenced_vertices"}:  # the very same, and so known to the caches
         mesh = Mesh(vertices, faces)
         index = np.where(is_referenced(mesh), original, -1)
-        return Repaired(mesh, index, original, diagnosis, frozenset(done))
+        return Repaired(mesh, mesh.vertices, index, original, diagnosis, frozenset(done))
     index = np.where(finite, original, -1)
     if "duplicate_vertices" in done:
         first = seam_partners(mesh)
@@ -212,10 +216,11 @@ def repair(
     if "holes" in done:
         mesh, on_rim = holes_filled(mesh, shorter_than=SMALL_HOLE)
         original = np.concatenate([original, original[on_rim]])
+    positions = mesh.vertices
     if "folded_edges" in done:
         mesh = smoothed(mesh)
     index = np.where(is_referenced(mesh)[index], index, -1)
-    return Repaired(mesh, index, original, diagnosis, frozenset(done), len(on_rim))
+    return Repaired(mesh, positions, index, original, diagnosis, frozenset(done), len(on_rim))
 
 
 def usable_part(source: MeshLike) -> Mesh:
@@ -440,4 +445,5 @@ def _repaired_points(vertices: npt.NDArray[np.float64]) -> Repaired:
     scale = _scale(points)
     original = np.flatnonzero(finite)[first[order]]
     done = frozenset(finding.kind for finding in findings if finding.always_repaired)
-    return Repaired(PointCloud(points / scale), index, original, diagnosis, done)
+    cloud = PointCloud(points / scale)
+    return Repaired(cloud, cloud.vertices, index, original, diagnosis, done)
