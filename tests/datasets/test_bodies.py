@@ -27,6 +27,7 @@ from esd.mesh.geometry import (
 )
 from esd.mesh.mesh import Mesh
 from esd.mesh.shapes import icosphere
+from esd.parallel import THIS_PROCESS
 
 
 @pytest.fixture(scope="module")
@@ -227,8 +228,14 @@ def test_export_names_what_it_cannot_write(tmp_path):
     collection = Collection("balls", (shape,))
     with pytest.raises(InputError, match=r"must be one of .*; got '.xyz'"):
         export_folder(collection, tmp_path / "out", suffix=".xyz")
-    with pytest.raises(InputError, match="Point 1 of the template has no vertex on 'ball'"):
-        export_folder(collection, tmp_path / "out")
+    missing = replace(shape, correspondence=lambda: np.full(2, 99))
+    with pytest.raises(InputError, match="'ball': IndexError"):
+        export_folder(
+            Collection("balls", (missing,)), tmp_path / "no", part_labels=np.zeros(2, dtype=int)
+        )
+    export_folder(collection, tmp_path / "out", workers=THIS_PROCESS)
+    back = folder_collection(tmp_path / "out")["ball"].correspondence()
+    np.testing.assert_array_equal(back, [3, -1])
     with pytest.raises(InputError, match="a label for each of the 2 points"):
         labels_on(shape, np.zeros(3, dtype=np.int64))
     (tmp_path / "file").write_text("")

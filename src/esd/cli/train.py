@@ -133,6 +133,7 @@ def _supervised(
 ) -> Model:
     from esd.cli.progress import progress
     from esd.learning.fit import fit
+    from esd.parallel import EVERY_CORE
     from esd.spectral.cache import default_cache
 
     shapes = 0 if chosen.store else len(chosen.shapes) + (len(held.shapes) if held else 0)
@@ -148,6 +149,7 @@ def _supervised(
             validation=held,
             checkpoint=_checkpoint(output),
             device=device,
+            workers=EVERY_CORE,
             cache=default_cache(),
             on_shape=lambda: described(1),
             on_progress=_since_last(trained),

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import csv
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from scipy.spatial import cKDTree
 from esd.common import InputError, IntArray, whole_file
 from esd.datasets.collection import Collection, Shape
 from esd.mesh.io.meshes import FORMATS, write_mesh
+from esd.parallel import THIS_PROCESS, Workers, outcomes
 
 
 def export_folder(
@@ -22,12 +24,14 @@ def export_folder(
     suffix: str = ".off",
     part_names: Sequence[str] = (),
     part_labels: IntArray | None = None,
+    workers: Workers = THIS_PROCESS,
+    on_shape: Callable[[], None] = lambda: None,
 ) -> None:
     """Write a collection in the layout that `esd.datasets.folder.folder_collection` reads.
 
     The folder is made where it does not exist. It gets `shapes/NAME.off`, `corres/NAME.vts` with
-    the vertex, from 1, at each point of the template, `corres/NAME.sym.vts` with the same under
-    left-right symmetry where it is known, and `subjects.csv`. With part labels it gets
+    the vertex, from 1 and 0 for none, at each point of the template, `corres/NAME.sym.vts` with the
+    same under left-right symmetry where it is known, and `subjects.csv`. With part labels it gets
     `parts/names.txt` and `parts/NAME.txt` with the number, from 0, of each vertex's part.
 
     Parameters
@@ -38,12 +42,15 @@ def export_folder(
         Names of the parts, in the order of their labels.
     part_labels : (p,), optional
         Part of each point of the template.
+    workers
+        What makes and writes the shapes.
+    on_shape
+        Called after each shape, to show progress.
 
     Raises
     ------
     InputError
-        If the suffix is unknown, a point of the template has no vertex on a shape, or the folder
-        cannot be written to.
+        If the suffix is unknown, a shape cannot be made, or the folder cannot be written to.
     """
     if suffix not in FORMATS:
         raise InputError(f"`suffix` must be one of {', '.join(FORMATS)}; got '{suffix}'.")
@@ -54,14 +61,11 @@ def export_folder(
             (folder / name).mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"'{folder}' cannot be written to: {error.strerror}.") from error
-    for shape in collection.shapes:
-        write_mesh(shape.mesh(), folder / "shapes" / f"{shape.name}{suffix}")
-        _write_vts(shape.correspondence(), folder / "corres" / f"{shape.name}.vts")
-        if shape.symmetric is not None:
-            _write_vts(shape.symmetric(), folder / "corres" / f"{shape.name}.sym.vts")
-        if part_labels is not None:
-            labels = labels_on(shape, part_labels)
-            _write_lines(labels.tolist(), folder / "parts" / f"{shape.name}.txt")
+    write = partial(_write_shape, folder=folder, suffix=suffix, part_labels=part_labels)
+    for outcome in outcomes(write, collection.shapes, workers=workers):
+        if outcome.failure is not None:
+            raise InputError(outcome.failure_of(outcome.job.name))
+        on_shape()
     if part_labels is not None:
         _write_lines(part_names, folder / "parts" / "names.txt")
     with (
@@ -71,6 +75,17 @@ def export_folder(
         table = csv.writer(file)
         table.writerow(("name", "subject", "template"))
         table.writerows((s.name, s.subject, s.template) for s in collection.shapes)
+
+
+def _write_shape(shape: Shape, *, folder: Path, suffix: str, part_labels: IntArray | None) -> None:
+    """Write the files of one shape."""
+    write_mesh(shape.mesh(), folder / "shapes" / f"{shape.name}{suffix}")
+    _write_vts(shape.correspondence(), folder / "corres" / f"{shape.name}.vts")
+    if shape.symmetric is not None:
+        _write_vts(shape.symmetric(), folder / "corres" / f"{shape.name}.sym.vts")
+    if part_labels is not None:
+        labels = labels_on(shape, part_labels)
+        _write_lines(labels.tolist(), folder / "parts" / f"{shape.name}.txt")
 
 
 def labels_on(shape: Shape, labels: IntArray) -> IntArray:
@@ -96,12 +111,7 @@ def labels_on(shape: Shape, labels: IntArray) -> IntArray:
 
 
 def _write_vts(vertex: IntArray, path: Path) -> None:
-    if (vertex < 0).any():
-        raise InputError(
-            f"Point {np.argmax(vertex < 0)} of the template has no vertex on '{path.stem}'; "
-            "a .vts file holds a vertex for every point."
-        )
-    _write_lines((vertex + 1).tolist(), path)
+    _write_lines((vertex + 1).tolist(), path)  # from 1; 0 for a point that the shape lacks
 
 
 def _write_lines(values: Sequence[object], path: Path) -> None:

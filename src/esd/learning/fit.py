@@ -15,6 +15,7 @@ from esd.learning.model import Layer, Model
 from esd.learning.osd import optimal_metric, with_knots
 from esd.learning.pairs import PointTable, draw_pairs, point_table, standardisation, stored_table
 from esd.learning.presets import Training
+from esd.parallel import THIS_PROCESS, Workers
 from esd.spectral.cache import Cache
 
 if TYPE_CHECKING:
@@ -30,6 +31,7 @@ def fit(
     validation: Collection | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
     device: str = "cpu",
+    workers: Workers = THIS_PROCESS,
     cache: Cache | None = None,
     on_shape: Callable[[], None] = lambda: None,
     on_progress: Callable[[Progress], None] = lambda _: None,
@@ -45,6 +47,7 @@ def fit(
             name=name,
             seed=seed,
             validation=validation,
+            workers=workers,
             cache=cache,
             on_shape=on_shape,
         )
@@ -58,6 +61,7 @@ def fit(
         validation=validation,
         checkpoint=checkpoint,
         device=device,
+        workers=workers,
         cache=cache,
         on_shape=on_shape,
         on_progress=on_progress,
@@ -71,6 +75,7 @@ def osd(
     name: str = "model",
     seed: int = 0,
     validation: Collection | None = None,
+    workers: Workers = THIS_PROCESS,
     cache: Cache | None = None,
     on_shape: Callable[[], None] = lambda: None,
 ) -> Model:
@@ -80,6 +85,8 @@ def osd(
     ----------
     validation
         Shapes of other subjects, on which nothing depends but what the model's card says of them.
+    workers
+        What describes the shapes.
     on_shape
         Called after each shape is described.
 
@@ -92,7 +99,14 @@ def osd(
     def described(part: Collection) -> PointTable:
         if part.store is not None:
             return stored_table(part, recipe)
-        return point_table(part, recipe, points=training.points, cache=cache, on_shape=on_shape)
+        return point_table(
+            part,
+            recipe,
+            points=training.points,
+            workers=workers,
+            cache=cache,
+            on_shape=on_shape,
+        )
 
     recipe = training.recipe
     if collection.store is None:

@@ -4,22 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 
 from esd.common import FloatArray, InputError, IntArray
-from esd.datasets.collection import Collection, repaired_shape
+from esd.datasets.collection import Collection, Shape, repaired_shape
 from esd.datasets.remeshing import copy_name
 from esd.datasets.store import open_store
 from esd.descriptors.recipe import Recipe, descriptors
 from esd.learning.model import standardised
 from esd.learning.patches import Patches, patch_operator
 from esd.mesh.mesh import Mesh
+from esd.parallel import THIS_PROCESS, Workers, outcomes
 from esd.spectral.cache import Cache
 from esd.spectral.laplacian import SparseMatrix
 
-_CHUNK = 2**16  # rows
+_CHUNK = 2**14  # rows
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,13 +84,22 @@ class PointTable:
         return WholeShape(values, operator, rows - start)
 
     def standardised(
-        self, mean: FloatArray, deviation: FloatArray, *, limit: float | None = None
+        self,
+        mean: FloatArray,
+        deviation: FloatArray,
+        *,
+        limit: float | None = None,
+        in_place: bool = False,
     ) -> PointTable:
-        """The table with its values as `esd.learning.model.standardised` makes them."""
+        """The table with its values as `esd.learning.model.standardised` makes them.
+
+        In place, they overwrite those of this table, which must not be used any more: two tables
+        may be more than memory holds.
+        """
         change = Standardisation(mean, deviation, limit)
         if self.stored is not None:
             return replace(self, stored=replace(self.stored, standardisation=change))
-        values = np.empty_like(self.values)
+        values = self.values if in_place else np.empty_like(self.values)
         for start in range(0, len(values), _CHUNK):  # float64 of all at once may be too much
             part = slice(start, start + _CHUNK)
             values[part] = change(self.values[part])
@@ -157,6 +168,7 @@ def point_table(
     *,
     points: int | None = None,
     patches: Patches | None = None,
+    workers: Workers = THIS_PROCESS,
     cache: Cache | None = None,
     on_shape: Callable[[], None] = lambda: None,
 ) -> PointTable:
@@ -169,6 +181,8 @@ def point_table(
         with no other vertices, so that many shapes fit into memory; all by default.
     patches
         Whose operators are made, too; of all vertices, so `points` must be left out.
+    workers
+        What describes the shapes.
     on_shape
         Called after each shape, to show progress.
 
@@ -179,30 +193,78 @@ def point_table(
     """
     if collection.store is not None:
         raise InputError(f"'{collection.store}' is a store; see `stored_table`.")
-    values, rows, operators, start = [], [], [], 0
-    for shape in collection.shapes:
-        repaired, index, _ = repaired_shape(shape)
-        mesh = repaired.shape
-        assert isinstance(mesh, Mesh)
-        try:
-            columns = descriptors(recipe, mesh, cache=cache)
-            if patches is not None:
-                operators.append(patch_operator(patches, mesh, cache=cache))
-        except InputError as error:
-            raise InputError(f"'{shape.name}': {error}") from error
-        if points is not None and points < len(index):
-            index = index[np.sort(np.random.default_rng(0).permutation(len(index))[:points])]
-            kept, index = np.unique(index, return_inverse=True)
-            if kept[0] == -1:
-                kept, index = kept[1:], index - 1
-            columns = columns[kept]
-        defined = np.isfinite(columns[index]).all(axis=1)
-        rows.append(np.where((index >= 0) & defined, index + start, -1))
-        values.append(columns.astype(np.float32))
-        start += len(columns)
+    describe = partial(_described, recipe=recipe, points=points, patches=patches, cache=cache)
+    found: list[_Described | None] = [None] * len(collection.shapes)
+    for outcome in outcomes(describe, enumerate(collection.shapes), workers=workers):
+        place, shape = outcome.job
+        if outcome.result is None:
+            raise InputError(outcome.failure_of(shape.name))
+        found[place] = outcome.result
         on_shape()
-    templates = _numbered([shape.template for shape in collection.shapes])
-    return PointTable(np.concatenate(values), tuple(rows), templates, operators=tuple(operators))
+    return _joined(found, _numbered([shape.template for shape in collection.shapes]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Described:
+    """What a `PointTable` has of one shape, its rows counted from its first.
+
+    Parameters
+    ----------
+    values : (vertices, width) float32
+    rows : (points,)
+        -1 for none.
+    operator : (vertices · bins, vertices)
+        Where something is convolved.
+    """
+
+    values: npt.NDArray[np.float32]
+    rows: IntArray
+    operator: SparseMatrix | None
+
+
+def _described(
+    job: tuple[int, Shape],
+    *,
+    recipe: Recipe,
+    points: int | None,
+    patches: Patches | None,
+    cache: Cache | None,
+) -> _Described:
+    """Descriptors of one shape, of a place in its collection, at its points."""
+    _, shape = job
+    repaired, index, _ = repaired_shape(shape)
+    mesh = repaired.shape
+    assert isinstance(mesh, Mesh)
+    columns = descriptors(recipe, mesh, cache=cache)
+    operator = None if patches is None else patch_operator(patches, mesh, cache=cache)
+    if points is not None and points < len(index):
+        # the same points of the template on all of its shapes
+        index = index[np.sort(np.random.default_rng(0).permutation(len(index))[:points])]
+        vertices, index = np.unique(index, return_inverse=True)
+        if vertices[0] == -1:  # sorted first: the points that this shape lacks
+            vertices, index = vertices[1:], index - 1
+        columns = columns[vertices]
+    defined = np.isfinite(columns[index]).all(axis=1)
+    rows = np.where((index >= 0) & defined, index, -1)
+    return _Described(columns.astype(np.float32), rows, operator)
+
+
+def _joined(found: list[_Described | None], templates: IntArray) -> PointTable:
+    """The table of all shapes, which are taken from the list, so that memory holds them once."""
+    sizes = [0 if each is None else len(each.values) for each in found]
+    stops = np.cumsum(sizes)
+    values = np.empty((0, 0), dtype=np.float32)
+    rows, operators = [], []
+    for place, (stop, size) in enumerate(zip(stops.tolist(), sizes, strict=True)):
+        each, found[place] = found[place], None
+        assert each is not None
+        if not place:
+            values = np.empty((stops[-1], each.values.shape[1]), dtype=np.float32)
+        values[stop - size : stop] = each.values
+        rows.append(np.where(each.rows >= 0, each.rows + stop - size, -1))
+        if each.operator is not None:
+            operators.append(each.operator)
+    return PointTable(values, tuple(rows), templates, operators=tuple(operators))
 
 
 def stored_table(collection: Collection, recipe: Recipe, *, copies: int = 0) -> PointTable:
@@ -256,9 +318,16 @@ def standardisation(table: PointTable, *, wanted: bool = True) -> tuple[FloatArr
         return np.zeros(width), np.ones(width)
     if table.stored is not None:
         return table.stored.mean, table.stored.deviation
-    values = table.values[np.isfinite(table.values).all(axis=1)]
-    mean = values.mean(axis=0, dtype=np.float64)
-    deviation = values.std(axis=0, dtype=np.float64)
+    # part by part, in float64: a copy of all may be more than memory holds
+    parts = [table.values[i : i + _CHUNK] for i in range(0, len(table.values), _CHUNK)]
+    defined = [np.isfinite(part).all(axis=1) for part in parts]
+    count = sum(int(each.sum()) for each in defined)
+    mean, variance = np.zeros(table.values.shape[1]), np.zeros(table.values.shape[1])
+    for part, known in zip(parts, defined, strict=True):
+        mean += part[known].sum(axis=0, dtype=np.float64) / count
+    for part, known in zip(parts, defined, strict=True):
+        variance += ((part[known] - mean) ** 2).sum(axis=0) / count
+    deviation = np.sqrt(variance)
     return mean, np.where(deviation > 0, deviation, 1.0)
 
 

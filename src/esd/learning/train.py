@@ -39,6 +39,7 @@ from esd.learning.pairs import (
     stored_table,
 )
 from esd.learning.presets import Training
+from esd.parallel import THIS_PROCESS, Workers
 from esd.spectral.cache import Cache, content_key
 
 _PATIENCE = 10  # validations without improvement after which training stops
@@ -109,6 +110,7 @@ def train(
     validation: Collection | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
     device: str = "cpu",
+    workers: Workers = THIS_PROCESS,
     cache: Cache | None = None,
     on_shape: Callable[[], None] = lambda: None,
     on_progress: Callable[[Progress], None] = lambda _: None,
@@ -133,6 +135,8 @@ def train(
     device
         Where the network is trained, see `usable_device`. What is drawn at random is the same on
         all, so that they differ by rounding alone.
+    workers
+        What describes the shapes; training itself runs in this process.
     cache
         Where spectra are looked up and kept.
     on_shape, on_progress
@@ -151,7 +155,9 @@ def train(
     place = torch.device(usable_device(device))
     if not 0 <= seed <= _LARGEST_SEED:
         raise InputError(f"`seed` must be from 0 to {_LARGEST_SEED}; got {seed}.")
-    data = _training_data(collection, validation, training, seed, cache, on_shape)
+    data = _training_data(
+        collection, validation, training, seed, workers=workers, cache=cache, on_shape=on_shape
+    )
     with _threads(training):
         run = _start(training, seed, place)
         path = None if checkpoint is None else Path(checkpoint)
@@ -175,6 +181,8 @@ def _training_data(
     validation: Collection | None,
     training: Training,
     seed: int,
+    *,
+    workers: Workers,
     cache: Cache | None,
     on_shape: Callable[[], None],
 ) -> _Data:
@@ -184,6 +192,7 @@ def _training_data(
         recipe=training.recipe,
         points=training.points,
         patches=training.patches,
+        workers=workers,
         cache=cache,
         on_shape=on_shape,
     )
@@ -193,10 +202,12 @@ def _training_data(
     else:
         table = describe(with_remeshings(collection, training.remeshings, seed=seed))
     mean, deviation = standardisation(table, wanted=training.standardise)
-    table = table.standardised(mean, deviation, limit=training.limit)
+    table = table.standardised(mean, deviation, limit=training.limit, in_place=True)
     held_out = None
     if validation is not None:
-        held = describe(validation).standardised(mean, deviation, limit=training.limit)
+        held = describe(validation).standardised(
+            mean, deviation, limit=training.limit, in_place=True
+        )
         batches = (_draw(held, training, _LARGEST_SEED, i) for i in range(_VALIDATION_BATCHES))
         held_out = _HeldOut(held, tuple(batches))
     return _Data(table, mean, deviation, held_out)

@@ -1,0 +1,77 @@
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+
+from esd.common import InputError
+from esd.datasets.collection import Collection, Shape
+from esd.descriptors.recipe import Descriptor, Recipe
+from esd.learning.pairs import point_table, standardisation
+from esd.mesh.mesh import Mesh
+from esd.mesh.shapes import torus
+from esd.parallel import Workers
+
+RECIPE = Recipe((Descriptor("hks", 6), Descriptor("wks", 5)), eigenpairs=15)
+
+
+def bent(i: int) -> Mesh:
+    mesh = torus(12, 8 + i)
+    return Mesh(mesh.vertices + 0.1 * np.sin(mesh.vertices[:, [1, 2, 0]] * i), mesh.faces)
+
+
+def points(i: int) -> np.ndarray:
+    index = np.arange(60) + i
+    index[7 + i] = -1
+    return index
+
+
+@pytest.fixture
+def collection() -> Collection:
+    shapes = [Shape(f"c{i}", f"s{i}", "t", partial(bent, i), partial(points, i)) for i in range(3)]
+    return Collection("bent", tuple(shapes))
+
+
+@pytest.mark.parametrize("count", [None, 30])
+def test_tables_are_the_same_by_any_number_of_processes(collection, count):
+    here = point_table(collection, RECIPE, points=count)
+    there = point_table(collection, RECIPE, points=count, workers=Workers(2))
+    np.testing.assert_allclose(there.values, here.values, rtol=1e-5)  # float32, other threads
+    for one, other in zip(here.rows, there.rows, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_missing_points_have_no_row_and_others_their_own(collection):
+    table = point_table(collection, RECIPE)
+    start = 0
+    for i, rows in enumerate(table.rows):
+        np.testing.assert_array_equal(np.where(rows >= 0, rows - start, -1), points(i))
+        start += len(bent(i).vertices)
+    assert start == len(table.values)
+
+
+def test_shapes_that_fail_are_named(collection):
+    beyond = replace(collection.shapes[1], correspondence=partial(np.arange, 10**4))
+    broken = replace(collection, shapes=(collection.shapes[0], beyond))
+    with pytest.raises(InputError, match="correspondence of 'c1' names vertex 9999"):
+        point_table(broken, RECIPE, workers=Workers(2))
+    small = replace(
+        collection.shapes[2], mesh=partial(torus, 4, 3), correspondence=partial(np.arange, 9)
+    )
+    with pytest.raises(InputError, match="'c2': "):
+        point_table(replace(collection, shapes=(small,)), RECIPE)
+
+
+def test_standardisation_takes_no_notice_of_its_parts(collection, monkeypatch):
+    table = point_table(collection, RECIPE)
+    table.values[5] = np.nan  # a vertex without a face
+    monkeypatch.setattr("esd.learning.pairs._CHUNK", 7)
+    mean, deviation = standardisation(table)
+    known = np.delete(table.values, 5, axis=0).astype(np.float64)
+    np.testing.assert_allclose(mean, known.mean(axis=0), rtol=1e-12)
+    np.testing.assert_allclose(deviation, known.std(axis=0), rtol=1e-9)
+    changed = table.standardised(mean, deviation, limit=1.0)
+    assert not np.shares_memory(changed.values, table.values)
+    in_place = table.standardised(mean, deviation, limit=1.0, in_place=True)
+    assert np.shares_memory(in_place.values, table.values)
+    np.testing.assert_array_equal(in_place.values, changed.values)
