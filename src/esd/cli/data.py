@@ -31,16 +31,26 @@ def bodies(
     force: ForceOption = False,
 ) -> None:
     """Write the human bodies: shapes/, corres/ and parts/, in the folder layout that esd reads."""
+    from esd.cli.progress import progress
     from esd.datasets.bodies import PARTS, part_labels
     from esd.datasets.bodies import bodies as all_bodies
     from esd.datasets.export import export_folder
+    from esd.parallel import EVERY_CORE
 
     for name in ("shapes", "corres", "parts", "subjects.csv"):
         destination(export / name, force=force, is_folder="." not in name)
     collection = all_bodies(remeshed=remeshed)
     if include:
         collection = collection.including(include)
-    export_folder(collection, export, part_names=PARTS, part_labels=part_labels())
+    with progress("writing", len(collection.shapes)) as written:
+        export_folder(
+            collection,
+            export,
+            part_names=PARTS,
+            part_labels=part_labels(),
+            workers=EVERY_CORE,
+            on_shape=lambda: written(1),
+        )
     tell(f"{len(collection.shapes)} bodies written to {export}")
 
 
