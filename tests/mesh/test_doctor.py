@@ -2,7 +2,7 @@ import sys
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -270,6 +270,19 @@ def test_what_is_no_mesh_at_all_is_refused(vertices, faces, message):
         diagnose((vertices, faces))
 
 
+# different places that scaling rounds to one; edges of more than two faces that remained
+FAR_VERTICES = (
+    np.array([[1.0, 1, 1], [0, 1, 1], *[[1.0, 1, 1]] * 3, [1e308, 1, 1], [1, 1, 1], [1, 1e308, 1]]),
+    np.array([[0, 1, 7], [0, 5, 7], [2, 5, 7]]),
+)
+CROWDED_EDGES = (
+    np.array(
+        [[0.0, -1, 1], [1, 1, 1], [-1, -1, 1], [1, 1, 1], [-1, -1, 0], [1, 1, 1], [0.1, 1, 0]]
+    ),
+    np.array([[1, 6, 5], [2, 2, 1], [6, 3, 0], [3, 0, 5], [0, 0, 5], [1, 5, 2], [2, 3, 5]]),
+)
+
+
 @settings(max_examples=150, deadline=None)
 @given(
     st.integers(1, 12).flatmap(
@@ -290,6 +303,8 @@ def test_what_is_no_mesh_at_all_is_refused(vertices, faces, message):
         )
     )
 )
+@example(FAR_VERTICES)
+@example(CROWDED_EDGES)
 def test_any_arrays_are_diagnosed_and_repaired_or_refused(mesh):
     vertices, _ = mesh
     diagnosis = diagnose(mesh)

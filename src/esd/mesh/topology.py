@@ -63,7 +63,8 @@ def _labels(i: IntArray, j: IntArray, size: int) -> IntArray:
 def seam_partners(mesh: Mesh) -> IntArray:
     """For each vertex on a seam the first that is joined with it there; others themselves, (n,).
 
-    A seam is two open sides between the same two places: the surface is torn along it.
+    A seam is two open sides between the same two places: the surface is torn along it. Seams whose
+    vertices would join into an edge of more than two faces stay open.
     """
     sides = sides_of(mesh)
     _, place = np.unique(mesh.vertices + 0.0, axis=0, return_inverse=True)  # −0 is 0
@@ -75,9 +76,24 @@ def seam_partners(mesh: Mesh) -> IntArray:
     order = np.argsort(key, kind="stable")
     _, first, count = np.unique(key[order], return_index=True, return_counts=True)
     i, j = (ends[order[first[count == 2] + k]].ravel() for k in (0, 1))
-    label = _labels(i, j, len(place))
-    _, representative = np.unique(label, return_index=True)
-    return representative[label]
+    while len(i):
+        label = _labels(i, j, len(place))
+        _, representative = np.unique(label, return_index=True)
+        first = representative[label]
+        faces = first[mesh.faces]
+        faces = faces[~is_collapsed(faces) & ~is_repeated(faces)]
+        if len(faces) == 0:
+            return first
+        joined = sides_of(replace(mesh, faces=faces))
+        crowded = np.zeros(len(place), dtype=bool)
+        for end in (joined.start, joined.end):
+            crowded[end[joined.count > 2]] = True
+        # only joins can make edges crowded that were not; those of their vertices are undone
+        undone = crowded[first[i]] | crowded[first[j]]
+        if not undone.any():
+            return first
+        i, j = i[~undone], j[~undone]
+    return np.arange(len(place))
 
 
 def is_collapsed(faces: IntArray) -> BoolArray:

@@ -204,7 +204,8 @@ def repair(
         return Repaired(mesh, mesh.vertices, index, original, diagnosis, frozenset(done))
     index = np.where(finite, original, -1)
     if "duplicate_vertices" in done:
-        first = seam_partners(mesh)
+        # of the original places: moving and scaling may have rounded different ones to one
+        first = seam_partners(replace(mesh, vertices=np.where(finite[:, None], vertices, 0.0)))
         mesh, index = replace(mesh, faces=first[mesh.faces]), np.where(finite, first, -1)
     mesh = without_repeats(mesh)
     if everything or "non_manifold_vertices" in done:
@@ -267,11 +268,14 @@ def _sound(vertices: npt.NDArray[np.float64], faces: IntArray) -> tuple[list[Fin
     usable = usable[finite[usable].all(axis=1)]
     if len(usable) == 0:
         return findings, None
-    middle, scale = _middle(vertices[finite]), _scale(vertices[finite])
-    size = _size(vertices[finite] / scale)
+    used = np.zeros(len(vertices), dtype=bool)
+    used[usable.ravel()] = True
+    middle, scale = _middle(vertices[used]), _scale(vertices[used])
+    size = _size(vertices[used] / scale)
     if scale != 1 or (size > 0 and np.abs(middle).max() > _FAR * size):
         findings.append(Finding("extreme_coordinates", 1, 1.0))
-        vertices = vertices / scale - middle / scale
+        # vertices without a face may be so far away that they overflow
+        vertices = np.where(used[:, None], vertices, 0.0) / scale - middle / scale
     return findings, Mesh(np.where(finite[:, None], vertices, 0.0), usable)
 
 
