@@ -93,9 +93,9 @@ def main() -> None:
     table(f"{shapes} shapes", "", "wall s", "× wall", "CPU s", "peak MB")
     first = best["one process"]
     for way, found in best.items():
-        told = f"{found.cpu:.1f}" if "Dask" not in way else "–"
+        cpu = f"{found.cpu:.1f}" if "Dask" not in way else "–"
         ratio = f"{first.wall / found.wall:.2f}"
-        row(way, "", f"{found.wall:.1f}", ratio, told, f"{found.memory:.0f}")
+        row(way, "", f"{found.wall:.1f}", ratio, cpu, f"{found.memory:.0f}")
     print(f"\nstores: {len(stores)} different\n")
     each = first.cpu / shapes
     table(f"{SHAPES:,} such shapes", f"{each:.2f} s of a core each", *["1 core", "10", "100"])

@@ -157,7 +157,7 @@ SETS: dict[str, Callable[[Path], list[Shape]]] = {
 
 
 def rotated(shape: Shape) -> Shape:
-    """The shape turned at random, by its name: whatever it meets, it stands the same way."""
+    """The shape rotated at random by its name, the same in all pairs."""
     turn = Rotation.random(random_state=zlib.crc32(shape.name.encode())).as_matrix()
     mesh = Mesh(shape.mesh.vertices @ turn.T, shape.mesh.faces)
     return Shape(shape.name, shape.kind, mesh, shape.index, shape.points @ turn.T)

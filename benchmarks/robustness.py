@@ -2,10 +2,10 @@
 
     python benchmarks/robustness.py default FAUST_R 'tr_reg_06*,tr_reg_07*' -o rows.csv
 
-Each shape is mapped to its neighbour of another subject as it is, and altered in many ways, which
-`match` repairs unasked; the error is measured on the neighbour, which stays as it is, at some
-points drawn at random. Rows are written as they come; those that are there are not measured again.
-The ratio is that of the mean error to that of the same shapes as they are.
+Each shape is matched to a shape of another subject unaltered, and altered in many ways, which
+`match` repairs unasked; the error is measured on the other shape, which is not
+altered, at some random points. It resumes when rerun: rows in the file are not measured again. The
+ratio is that of the mean error to that of the same shapes unaltered.
 Needs fast-simplification, which `pip install '.[dev]'` brings.
 """
 
@@ -55,7 +55,7 @@ HEADER = (
     *("shape", "target", "alteration", "error", "right", "unmatched"),
     *("severity", "verdict", "expected"),
 )
-FIRST = "as it is"
+FIRST = "unaltered"
 POINTS = 1000
 
 
@@ -103,8 +103,8 @@ def shuffled(mesh: Mesh, rng: np.random.Generator) -> Altered:
     return mesh.vertices[order], place[mesh.faces], place
 
 
-def turned(share: float) -> Alter:
-    """Faces wound the other way."""
+def inverted(share: float) -> Alter:
+    """Faces of the opposite orientation."""
     return with_faces(
         lambda mesh, rng: np.where(
             rng.random((len(mesh.faces), 1)) < share, mesh.faces[:, ::-1], mesh.faces
@@ -130,8 +130,8 @@ def stretched(mesh: Mesh) -> Mesh:
     return replace(made, vertices=made.vertices / tall)
 
 
-def torn(share: float) -> Alter:
-    """Faces that have corners of their own, as all have in STL."""
+def disconnected(share: float) -> Alter:
+    """Faces with vertices of their own, as all have in STL."""
 
     def alter(mesh: Mesh, rng: np.random.Generator) -> Altered:
         count, faces = len(mesh.vertices), mesh.faces.copy()
@@ -146,7 +146,7 @@ def torn(share: float) -> Alter:
 
 
 def dirty(share: float) -> Alter:
-    """Vertices that are no numbers, faces twice, a loose ball, lone vertices."""
+    """Vertices that are not finite, duplicate faces, another component, unreferenced vertices."""
 
     def alter(mesh: Mesh, rng: np.random.Generator) -> Altered:
         count, ball = len(mesh.vertices), icosphere(2)
@@ -162,8 +162,8 @@ def dirty(share: float) -> Alter:
     return alter
 
 
-def lined(share: float) -> Alter:
-    """Some faces cut into a line and two others, by a vertex more on one of their sides."""
+def with_slivers(share: float) -> Alter:
+    """Some faces split into a degenerate and two other triangles, by a vertex more on an edge."""
 
     def alter(mesh: Mesh, rng: np.random.Generator) -> Altered:
         count, cut = len(mesh.vertices), rng.random(len(mesh.faces)) < share
@@ -189,18 +189,18 @@ ALTERATIONS: dict[str, Alter] = {
     "noise along the normals, 1 mean edge": perturbed(geometric_noise, 1.0),
     "ten holes, 2 % of the area": perturbed(holes, 0.02),
     "ten holes, 20 %": perturbed(holes, 0.2),
-    "turned edges, 5 % of the faces": perturbed(edge_flips, 0.05),
-    "turned edges, 50 %": perturbed(edge_flips, 0.5),
+    "flipped edges, 5 % of the faces": perturbed(edge_flips, 0.05),
+    "flipped edges, 50 %": perturbed(edge_flips, 0.5),
     "short circuits, 0.2 % of the faces": perturbed(short_circuits, 0.002),
     "short circuits, 5 %": perturbed(short_circuits, 0.05),
     "cut by a plane, 5 % of the area": perturbed(plane_cut, 0.05),
     "cut by a plane, 35 %": perturbed(plane_cut, 0.35),
-    "faces torn loose, 5 %": torn(0.05),
-    "faces torn loose, all": torn(1.0),
-    "faces wound the other way, 5 %": turned(0.05),
-    "faces wound the other way, 50 %": turned(0.5),
-    "a line beside 0.1 % of the faces": lined(0.001),
-    "a line beside 10 %": lined(0.1),
+    "disconnected faces, 5 %": disconnected(0.05),
+    "disconnected faces, all": disconnected(1.0),
+    "inverted faces, 5 %": inverted(0.05),
+    "inverted faces, 50 %": inverted(0.5),
+    "sliver triangles, at 0.1 % of the faces": with_slivers(0.001),
+    "sliver triangles, at 10 %": with_slivers(0.1),
     "dirt, 0.2 %": dirty(0.002),
     "dirt, 3 %": dirty(0.03),
     "triangles: even, 5,000 vertices": with_triangles(
@@ -267,7 +267,7 @@ def rows(
 def table(found: list[dict[str, str]]) -> Iterator[str]:
     yield "| source | shapes | mean error | ratio | within 5 % | unmatched | severity | verdict |"
     yield "|---|--:|--:|--:|--:|--:|---|---|"
-    as_they_are = {row["shape"]: float(row["error"]) for row in found if row["alteration"] == FIRST}
+    unaltered = {row["shape"]: float(row["error"]) for row in found if row["alteration"] == FIRST}
     for name in ALTERATIONS:
         some = [row for row in found if row["alteration"] == name]
         if not some:
@@ -275,7 +275,7 @@ def table(found: list[dict[str, str]]) -> Iterator[str]:
         error, right, unmatched = (
             np.mean([float(row[key]) for row in some]) for key in ("error", "right", "unmatched")
         )
-        ratio = error / np.mean([as_they_are[row["shape"]] for row in some])
+        ratio = error / np.mean([unaltered[row["shape"]] for row in some])
         said = (
             ", ".join(
                 f"{what} {count}" for what, count in Counter(row[key] for row in some).most_common()

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.tri import Triangulation
 
 from esd.experiments.report import Report, Table
-from esd.experiments.setting import KINDS, Setting, described, shortened
+from esd.experiments.setting import KINDS, Setting, descriptor_table, shortened
 from esd.learning.losses import PairCriteria
 from esd.learning.pairs import PointTable, standardisation
 from esd.learning.presets import PRESETS, Training
@@ -131,7 +131,9 @@ def _trials(setting: Setting, kind: str) -> list[Trial]:
 
 
 def _standardised(setting: Setting, training: Training) -> tuple[PointTable, PointTable]:
-    raw = [described(setting, data, training) for data in (setting.training, setting.testing)]
+    raw = [
+        descriptor_table(setting, data, training) for data in (setting.training, setting.testing)
+    ]
     mean, deviation = standardisation(raw[0])
     return raw[0].standardised(mean, deviation), raw[1].standardised(mean, deviation)
 

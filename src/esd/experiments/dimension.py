@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from esd.common import FloatArray, IntArray
 from esd.experiments.report import Report, Table
-from esd.experiments.setting import KINDS, Setting, described, paper_training
+from esd.experiments.setting import KINDS, Setting, descriptor_table, paper_training
 from esd.learning.dimension import components_needed, nearest_neighbours, residual_variances
 from esd.learning.pairs import standardisation
 from esd.viewing.figures import blank_figure
@@ -36,13 +36,15 @@ class DimensionOutcome:
 def run(setting: Setting) -> DimensionOutcome:
     """Sample descriptors, analyse the principal components of neighbourhoods among them.
 
-    Beside raw and standardised descriptors stands noise: points of an isotropic normal
+    Noise is analysed beside raw and standardised descriptors: points of an isotropic normal
     distribution in 100 dimensions, which have no low dimension to be found.
     """
     generator = np.random.default_rng(setting.seed)
     samples = {}
     for kind in KINDS:
-        table = described(setting, setting.training, paper_training(kind, quick=setting.quick))
+        table = descriptor_table(
+            setting, setting.training, paper_training(kind, quick=setting.quick)
+        )
         mean, deviation = standardisation(table)
         finite = np.flatnonzero(np.isfinite(table.values).all(axis=1))
         rows = generator.choice(finite, size=min(_SAMPLES, len(finite)), replace=False)

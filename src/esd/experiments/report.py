@@ -23,7 +23,7 @@ class Table:
     header, rows
         Texts and numbers; None where there is nothing to tell.
     shown
-        Whether it stands in the report too, which is for tables of few rows.
+        Whether the report shows it too, which is for tables of few rows.
     """
 
     name: str

@@ -35,7 +35,7 @@ class Setting:
     training, testing
         Shapes of different subjects.
     folder
-        Where finished parts are kept, from which an interrupted experiment goes on.
+        Where finished parts are saved, from which an interrupted experiment resumes.
     seed
         Of all that is random.
     quick
@@ -104,14 +104,14 @@ def trained(
     if folder.exists():
         return replace(load_model(folder), name=name)
     folder.parent.mkdir(exist_ok=True)
-    with setting.progress(f"training {name}", training.steps) as went:
+    with setting.progress(f"training {name}", training.steps) as advance:
         marks = [(0, time.process_time())]
 
-        def described() -> None:
+        def restart() -> None:
             marks[:] = [(0, time.process_time())]
 
-        def tell(step: int) -> None:
-            went(step - marks[-1][0])
+        def record(step: int) -> None:
+            advance(step - marks[-1][0])
             marks.append((step, time.process_time()))
 
         model = fit(
@@ -122,8 +122,8 @@ def trained(
             validation=validation,
             checkpoint=folder.with_name(f"{key}.checkpoint"),
             cache=setting.cache,
-            on_shape=described,
-            on_progress=lambda state: tell(state.step),
+            on_shape=restart,
+            on_progress=lambda state: record(state.step),
         )
     model = replace(model, card={**model.card, "training_cpu_seconds": _cpu_seconds(marks)})
     save_model(model, folder)
@@ -136,7 +136,7 @@ def _cpu_seconds(marks: Sequence[tuple[int, float]]) -> float:
     Parameters
     ----------
     marks
-        Steps done and processor time at the start of this run and at each of its looks.
+        Steps done and processor time at the start of this run and at each of its reports.
     """
     if len(marks) == 1:
         return time.process_time() - marks[0][1]  # a training without steps
@@ -144,11 +144,11 @@ def _cpu_seconds(marks: Sequence[tuple[int, float]]) -> float:
     return (end - start) / (last - first) * last
 
 
-def described(setting: Setting, collection: Collection, training: Training) -> PointTable:
+def descriptor_table(setting: Setting, collection: Collection, training: Training) -> PointTable:
     """Descriptors of a collection as a training takes them, but for the standardisation."""
-    with setting.progress(f"describing {collection.name}", len(collection.shapes)) as went:
+    with setting.progress(f"descriptors of {collection.name}", len(collection.shapes)) as advance:
         return point_table(
-            collection, training.recipe, cache=setting.cache, on_shape=lambda: went(1)
+            collection, training.recipe, cache=setting.cache, on_shape=lambda: advance(1)
         )
 
 
