@@ -41,6 +41,21 @@ def test_tables_are_the_same_by_any_number_of_processes(collection, count):
         np.testing.assert_array_equal(one, other)
 
 
+@pytest.mark.parametrize("count", [30, 59, 60, 100, 500])
+def test_tables_of_some_points_hold_rows_of_the_whole(collection, count):
+    # of fewer than 60 points each shape may lack one; more leave all of its 96 to 120 vertices
+    whole, some = point_table(collection, RECIPE), point_table(collection, RECIPE, points=count)
+    if count < 60:
+        assert 3 * (count - 1) <= len(some.values) <= 3 * count
+    else:
+        np.testing.assert_array_equal(some.values, whole.values)
+    for all_rows, rows in zip(whole.rows, some.rows, strict=True):
+        known = rows[rows >= 0]
+        assert len(np.unique(known)) == len(known)
+        values = {row.tobytes() for row in whole.values[all_rows[all_rows >= 0]]}
+        assert {row.tobytes() for row in some.values[known]} <= values
+
+
 def test_missing_points_have_no_row_and_others_their_own(collection):
     table = point_table(collection, RECIPE)
     start = 0

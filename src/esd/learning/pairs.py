@@ -195,13 +195,22 @@ def point_table(
         raise InputError(f"'{collection.store}' is a store; see `stored_table`.")
     describe = partial(_described, recipe=recipe, points=points, patches=patches, cache=cache)
     found: list[_Described | None] = [None] * len(collection.shapes)
+    # filled as shapes arrive: joined at the end, the table would be in memory twice
+    room = 0 if points is None else points
+    space = np.empty((len(found) * room, recipe.width), dtype=np.float32)
     for outcome in outcomes(describe, enumerate(collection.shapes), workers=workers):
         place, shape = outcome.job
         if outcome.result is None:
             raise InputError(outcome.failure_of(shape.name))
-        found[place] = outcome.result
+        described = outcome.result
+        if len(described.values) <= room:
+            part = space[place * room :][: len(described.values)]
+            part[:] = described.values
+            described = replace(described, values=part)
+        found[place] = described
         on_shape()
-    return _joined(found, _numbered([shape.template for shape in collection.shapes]))
+    templates = _numbered([shape.template for shape in collection.shapes])
+    return _joined(found, templates, space)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -249,22 +258,31 @@ def _described(
     return _Described(columns.astype(np.float32), rows, operator)
 
 
-def _joined(found: list[_Described | None], templates: IntArray) -> PointTable:
-    """The table of all shapes, which are taken from the list, so that memory holds them once."""
+def _joined(
+    found: list[_Described | None], templates: IntArray, space: npt.NDArray[np.float32]
+) -> PointTable:
+    """The table of all shapes, which are taken from the list.
+
+    Parameters
+    ----------
+    space
+        What the table takes if it has rows enough: then the values lie in it already, those of
+        each shape at its place or after it, and move together.
+    """
     sizes = [0 if each is None else len(each.values) for each in found]
     stops = np.cumsum(sizes)
-    values = np.empty((0, 0), dtype=np.float32)
+    room = len(space) // len(found)
+    fits = max(sizes) <= room
+    values = space if fits else np.empty((stops[-1], space.shape[1]), dtype=np.float32)
     rows, operators = [], []
     for place, (stop, size) in enumerate(zip(stops.tolist(), sizes, strict=True)):
         each, found[place] = found[place], None
         assert each is not None
-        if not place:
-            values = np.empty((stops[-1], each.values.shape[1]), dtype=np.float32)
         values[stop - size : stop] = each.values
         rows.append(np.where(each.rows >= 0, each.rows + stop - size, -1))
         if each.operator is not None:
             operators.append(each.operator)
-    return PointTable(values, tuple(rows), templates, operators=tuple(operators))
+    return PointTable(values[: stops[-1]], tuple(rows), templates, operators=tuple(operators))
 
 
 def stored_table(collection: Collection, recipe: Recipe, *, copies: int = 0) -> PointTable:
