@@ -215,3 +215,11 @@ def test_many_shapes_keep_fewer_points_and_no_copies(unregistered, monkeypatch):
         InputError, match=r"5 shapes are more than .* can hold in memory; choose 4 "
     ):
         run()
+
+
+def test_a_warm_up_takes_copies_alone(unregistered):
+    warm = replace(TEACHING, steps=8, warm_up=2, validate_every=2, drawn=300)
+    curve = train_unsupervised(unregistered, TRAINING, teaching=warm).card["curve"]
+    assert curve[0]["returning"] is None
+    assert curve[0]["loss"] > 0
+    assert 0 < curve[1]["returning"] <= 1

@@ -58,7 +58,11 @@ class Teaching:
     Parameters
     ----------
     steps
-        Pairs of shapes that are matched.
+        Pairs of shapes that are matched, the warm-up included.
+    warm_up
+        Steps at the beginning, no more than a quarter of all, in which shapes are matched with
+        their own copies only, so that the first maps between shapes start from more than a random
+        network. None without copies.
     updates
         Steps of the optimiser for each: on the last matches, then on such of `recent` pairs.
     recent
@@ -80,6 +84,7 @@ class Teaching:
     """
 
     steps: int = 400
+    warm_up: int = 100
     updates: int = 3
     recent: int = 12
     points: int = 4000
@@ -103,7 +108,8 @@ class TeachingProgress:
         Mean since the last point of the curve; None if no pair taught anything.
     returning, oriented
         Mean shares of the tried points that return, and that keep their orientation, over the
-        pairs since then. A training can fail with both high, but does not succeed with them low.
+        pairs since then; None during the warm-up. A training can fail with both high, but does not
+        succeed with them low.
     validation
         Mean share that does both between shapes that are held out and those trained on, or None.
     """
@@ -111,8 +117,8 @@ class TeachingProgress:
     step: int
     steps: int
     loss: float | None
-    returning: float
-    oriented: float
+    returning: float | None
+    oriented: float | None
     validation: float | None = None
 
 
@@ -352,18 +358,17 @@ def _advance(
     tried: list[Lesson] = []
     losses: list[float] = []
     for step in range(run.step, stop):
-        share = step / teaching.steps
+        share = _share(step, teaching)
         fall = (1 + math.cos(math.pi * share)) / 2
         rate = teaching.learning_rate * (_LAST_RATE + (1 - _LAST_RATE) * fall)
         generator = np.random.default_rng((seed, step))
-        for _ in range(_TRIES):
-            source, target = generator.choice(len(samples), size=2, replace=False)
-            found = _lesson(run, samples[source], samples[target], teaching, share, generator)
-            tried.append(found)
-            if is_reliable(found):
-                recent.append(_Matches(samples[source], samples[target], found))
-                del recent[: -teaching.recent]
-                break
+        if step == _warm_up(teaching):
+            recent.clear()
+        if step < _warm_up(teaching):
+            recent.append(_own_copies(samples, teaching, generator))
+        else:
+            recent += _reliable(run, samples, teaching, share, generator, tried)
+        del recent[: -teaching.recent]
         if not recent:
             continue
         dropout = torch.Generator().manual_seed(_LARGEST_SEED * step + seed)
@@ -380,12 +385,56 @@ def _advance(
         TeachingProgress(
             step=run.step,
             steps=teaching.steps,
-            loss=float(np.mean(losses)) if losses else None,
-            returning=float(np.mean([each.returning for each in tried])),
-            oriented=float(np.mean([each.oriented for each in tried])),
+            loss=_mean(losses),
+            returning=_mean([each.returning for each in tried]),
+            oriented=_mean([each.oriented for each in tried]),
             validation=validation,
         )
     )
+
+
+def _warm_up(teaching: Teaching) -> int:
+    return min(teaching.warm_up, teaching.steps // 4) if teaching.copies else 0
+
+
+def _share(step: int, teaching: Teaching) -> float:
+    """Share of the training after the warm-up that is done, from 0 to 1."""
+    start = _warm_up(teaching)
+    return max(0, step - start) / (teaching.steps - start)
+
+
+def _mean(values: Sequence[float]) -> float | None:
+    return float(np.mean(values)) if values else None
+
+
+def _own_copies(
+    samples: Sequence[Samples], teaching: Teaching, generator: np.random.Generator
+) -> _Matches:
+    """Matches between versions of one shape, drawn at random."""
+    shape = samples[int(generator.integers(len(samples)))]
+    rows = generator.permutation(len(shape.positions))[: teaching.drawn]
+    return _Matches(shape, shape, Lesson(rows, rows, 1.0, 1.0, 1.0))
+
+
+def _reliable(
+    run: _Run,
+    samples: Sequence[Samples],
+    teaching: Teaching,
+    share: float,
+    generator: np.random.Generator,
+    tried: list[Lesson],
+) -> list[_Matches]:
+    """Matches of a pair drawn at random that can be relied on, none if there is no such pair.
+
+    All that were tried are added to a list.
+    """
+    for _ in range(_TRIES):
+        source, target = generator.choice(len(samples), size=2, replace=False)
+        found = _lesson(run, samples[source], samples[target], teaching, share, generator)
+        tried.append(found)
+        if is_reliable(found):
+            return [_Matches(samples[source], samples[target], found)]
+    return []
 
 
 def _sizes(last: int, share: float) -> list[int]:
@@ -473,7 +522,7 @@ def _validation(
 ) -> float:
     """Mean share of reliable matches between each shape held out and one that is trained on."""
     generator = np.random.default_rng((_LARGEST_SEED, seed))
-    share = run.step / teaching.steps
+    share = _share(run.step, teaching)
     partners = generator.integers(len(samples), size=len(held))
     kept = [
         _lesson(run, shape, samples[partner], teaching, share, generator).kept
