@@ -270,6 +270,24 @@ def test_what_is_no_mesh_at_all_is_refused(vertices, faces, message):
         diagnose((vertices, faces))
 
 
+def test_a_vertex_far_away_and_a_ground_plane_are_left_out(blob):
+    far = blob.vertices.copy()
+    far[0] *= 1e4
+    diagnosis = diagnose((far, blob.faces))
+    assert found((far, blob.faces))["spikes"] == 6  # the faces at that vertex of the torus
+    assert diagnosis.severity == "serious"
+    repaired = repair((far, blob.faces))
+    assert surface_area(repaired.shape) == pytest.approx(surface_area(blob), rel=0.02)
+    assert repaired.vertex_index[0] == -1
+
+    count, (a, b) = len(blob.vertices), blob.faces[0, :2]
+    ground = np.vstack([blob.vertices, [[30.0, 30, 0], [-30, 30, 0]]])
+    faces = np.vstack([blob.faces, [[b, a, count], [a, count + 1, count]]])
+    assert found((ground, faces))["spikes"] == 2
+    assert surface_area(repair((ground, faces)).shape) == pytest.approx(surface_area(blob))
+    assert "spikes" not in found(blob)
+
+
 # different places that scaling rounds to one; edges of more than two faces that remained
 FAR_VERTICES = (
     np.array([[1.0, 1, 1], [0, 1, 1], *[[1.0, 1, 1]] * 3, [1e308, 1, 1], [1, 1, 1], [1, 1e308, 1]]),

@@ -45,6 +45,15 @@ _KINDS = {
         "The file is damaged: matching refuses it.",
         "those faces are left out",
     ),
+    "spikes": _Kind(
+        "face longer than the rest of the shape",
+        "faces longer than the rest of the shape",
+        0.0,
+        "A vertex far away, or a ground plane: it inflates the area, beside which every error "
+        "looks small.",
+        "left out",
+        always=True,
+    ),
     "extreme_coordinates": _Kind(
         "coordinate range that leaves no digits to compute with",
         "coordinate ranges that leave no digits to compute with",

@@ -46,6 +46,7 @@ RESTORED = frozenset({"holes", "folded_edges"})
 """Findings about which something is done where a surface is restored, see `repair`."""
 
 _FOLDED = 0.03  # share of the edges; up to half of that is ordinary in toes and ears
+_SPIKE, _FEW_SPIKES = 1.2, 0.01  # of the box around nearly all vertices, and of the faces
 _FAR = 1e5  # sizes of the shape away from the origin, beyond which single precision lost its form
 _LARGEST, _SMALLEST = 1e75, 1e-75  # sizes whose fourth power is still a number
 
@@ -268,6 +269,9 @@ def _sound(vertices: npt.NDArray[np.float64], faces: IntArray) -> tuple[list[Fin
     usable = usable[finite[usable].all(axis=1)]
     if len(usable) == 0:
         return findings, None
+    spikes = _is_spike(vertices, usable)
+    findings += _found("spikes", spikes)
+    usable = usable[~spikes]
     used = np.zeros(len(vertices), dtype=bool)
     used[usable.ravel()] = True
     middle, scale = _middle(vertices[used]), _scale(vertices[used])
@@ -277,6 +281,21 @@ def _sound(vertices: npt.NDArray[np.float64], faces: IntArray) -> tuple[list[Fin
         # vertices without a face may be so far away that they overflow
         vertices = np.where(used[:, None], vertices, 0.0) / scale - middle / scale
     return findings, Mesh(np.where(finite[:, None], vertices, 0.0), usable)
+
+
+def _is_spike(vertices: npt.NDArray[np.float64], faces: IntArray) -> BoolArray:
+    """Whether each face has an edge longer than the box that holds nearly all vertices, (m,).
+
+    The box leaves out a hundredth of the used vertices on either side of each axis. Where more
+    than a hundredth of the faces is as long, none is a spike: the shape is of such faces.
+    """
+    points = vertices[np.unique(faces)]
+    low, high = np.quantile(points / 4, [0.01, 0.99], axis=0)  # a quarter never overflows
+    box = np.hypot.reduce(high - low)
+    corners = vertices[faces] / 4
+    length = np.hypot.reduce(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    found = length > _SPIKE * box
+    return np.asarray(found & (found.mean() <= _FEW_SPIKES))
 
 
 def _is_finite(vertices: npt.NDArray[np.float64]) -> BoolArray:
