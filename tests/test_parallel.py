@@ -10,7 +10,14 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from esd.common import InputError
-from esd.parallel import Workers, blas_libraries, outcomes, side_by_side, thread_count
+from esd.parallel import (
+    Workers,
+    blas_libraries,
+    outcomes,
+    shared_folder,
+    side_by_side,
+    thread_count,
+)
 
 HERE = str(Path(__file__).parent)
 
@@ -85,6 +92,40 @@ def _runs(process: int) -> bool:
         return False
     status = Path(f"/proc/{process}/stat")  # where nobody collects orphans, they stay as zombies
     return not (status.exists() and status.read_text().rpartition(")")[2].split()[0] == "Z")
+
+
+def wait_or_not(seconds: int) -> int:
+    time.sleep(seconds)
+    return seconds
+
+
+def test_whoever_stops_early_does_not_wait_for_jobs_that_run():
+    start = time.monotonic()
+    found = outcomes(wait_or_not, [0, 60, 60, 60, 60], workers=Workers(2))
+    assert next(found).result == 0
+    found.close()
+    assert time.monotonic() - start < 30  # starting two processes may take some of it
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="there, processes are supposed to run")
+def test_folders_of_processes_that_were_killed_are_removed(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    cluster = Workers(scheduler="tcp://host:8786")
+    with shared_folder(cluster) as folder:
+        host = folder.name.split("-")[1]
+        gone = subprocess.Popen([sys.executable, "-c", ""])
+        gone.wait()
+        left, elsewhere = f".esd-{host}-{gone.pid}-x", f".esd-other-{gone.pid}-x"
+        mine = f".esd-{host}-{os.getpid()}-x"
+        for name in (left, elsewhere, mine):
+            Path(name).mkdir()
+        with shared_folder(cluster) as second:
+            assert second.parent == tmp_path
+            assert folder.is_dir()
+            assert not Path(left).exists()
+            assert Path(elsewhere).is_dir()
+            assert Path(mine).is_dir()
+    assert not folder.exists()
 
 
 def test_impossible_settings_are_refused():

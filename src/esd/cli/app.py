@@ -20,7 +20,7 @@ from esd.cli.evaluate import evaluate
 from esd.cli.export import export
 from esd.cli.match import match
 from esd.cli.model import model
-from esd.cli.output import HELP_NAMES, telling
+from esd.cli.output import HELP_NAMES, HelpfulCommand, telling
 from esd.cli.precompute import precompute
 from esd.cli.reproduce import reproduce
 from esd.cli.spectrum import spectrum
@@ -77,7 +77,7 @@ _EXAMPLES: dict[Callable[..., None], tuple[str, ...]] = {
 }
 for command, examples in _EXAMPLES.items():
     lines = "\n\n".join(("Examples:", *examples))
-    app.command(epilog=lines)(telling(command))
+    app.command(epilog=lines, cls=HelpfulCommand)(telling(command))
 app.add_typer(data, name="data")
 app.add_typer(model, name="model")
 

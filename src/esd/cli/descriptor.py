@@ -24,7 +24,7 @@ def descriptor(
             help="Ends in .npy, .npz, .h5 or .csv; by default MESH-KIND.npz.",
         ),
     ] = None,
-    kind: Annotated[str, typer.Option(help="hks, wks, gps, sihks or geometry.")] = "hks",
+    kind: Annotated[str, typer.Option(help="{descriptors}.")] = "hks",
     log: Annotated[bool, typer.Option(help="Take the logarithm.")] = False,
     force: ForceOption = False,
 ) -> None:

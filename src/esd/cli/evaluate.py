@@ -31,7 +31,7 @@ def evaluate(
             "--model",
             "-m",
             metavar="MODEL",
-            help="A model folder, a bundled name, or hks, wks, gps; several times to compare.",
+            help="A model folder, or {models}, or {descriptors}; several times to compare.",
         ),
     ] = ["default"],  # noqa: B006
     pairs: Annotated[

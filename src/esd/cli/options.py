@@ -55,7 +55,7 @@ SchedulerOption = Annotated[
 ModelOption = Annotated[
     str,
     typer.Option(
-        "--model", "-m", metavar="MODEL", help="A model folder, a bundled name, or hks, wks, gps."
+        "--model", "-m", metavar="MODEL", help="A model folder, or {models}, or {descriptors}."
     ),
 ]
 RefineOption = Annotated[

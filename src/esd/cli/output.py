@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
 from esd.common import InputError, check_can_be_made
 
@@ -79,6 +80,38 @@ def tell(message: str) -> None:
 def is_quiet() -> bool:
     """Whether --quiet was given."""
     return logging.getLogger().level > logging.WARNING
+
+
+class HelpfulCommand(TyperCommand):
+    """A command whose help names what the package holds, looked up when it is shown.
+
+    `{models}`, `{presets}` and `{descriptors}` stand for names in the help of its arguments and
+    options.
+    """
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """Fill in the names, then write the help."""
+        for parameter in self.params:
+            text = getattr(parameter, "help", None)
+            if text and "{" in text:
+                parameter.help = text.format_map(_Names())  # type: ignore[attr-defined]
+        super().format_help(ctx, formatter)
+
+
+class _Names(dict[str, str]):
+    """Lists of names, imported when they are asked for: they take a second."""
+
+    def __missing__(self, what: str) -> str:
+        from esd.descriptors.recipe import DESCRIPTOR_KINDS
+        from esd.learning.model import ALIASES, bundled_models
+        from esd.learning.presets import PRESETS
+
+        names = {
+            "models": (*ALIASES, *bundled_models()),
+            "descriptors": tuple(DESCRIPTOR_KINDS),
+            "presets": tuple(PRESETS),
+        }[what]
+        return ", ".join(names)
 
 
 def telling(function: Callable[..., None]) -> Callable[..., None]:

@@ -28,7 +28,7 @@ def precompute(
         str | None, typer.Option(metavar="GLOB", help="Only shapes with such names.")
     ] = None,
     preset: Annotated[
-        str | None, typer.Option(help="Of the training that the descriptors are for.")
+        str | None, typer.Option(help="Of the training that the descriptors are for: {presets}.")
     ] = None,
     model: Annotated[
         str | None,

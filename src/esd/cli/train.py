@@ -30,10 +30,7 @@ def train(
     ] = None,
     preset: Annotated[
         str,
-        typer.Option(
-            help="oriented, paper-hks, paper-wks, paper-gps, osd, osd-geometry, gcnn or acnn. "
-            "Only the first learns without correspondences."
-        ),
+        typer.Option(help="{presets}. Only the first learns without correspondences."),
     ] = "oriented",
     include: Annotated[
         str | None, typer.Option(metavar="GLOB", help="Only shapes with such names.")

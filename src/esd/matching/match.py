@@ -364,6 +364,7 @@ def _judged(
     counted = None
     if source.copy is None and target.copy is None:
         counted = is_referenced(source.shape) & ~source.is_filling()
+        counted &= match.target_index >= 0  # a one-to-one map leaves some out on purpose
         values[target.is_filling()[match.target_index]] = 0.0
     verdict = judgement(
         source.shape,
