@@ -76,7 +76,7 @@ def test_an_outside_that_is_not_defined_is_refused(blob):
     faces[5] = faces[5, ::-1]
     torn = Mesh(blob.vertices, faces)
     pairs, which = spectrum(torn, 80), neighbour_pairs(2, reach=1)
-    with pytest.raises(InputError, match="wound differently"):
+    with pytest.raises(InputError, match="inconsistently oriented"):
         gradient_products(
             torn, pairs, torn.vertices[:, :2], pairs=which, times=np.ones(1), parity="odd"
         )

@@ -112,7 +112,7 @@ def test_patches_of_broken_meshes(blob):
     index = np.arange(124)
     index[ends[1]] = ends[0]
     moebius = Mesh(strip.vertices, index[strip.faces])
-    with pytest.raises(InputError, match="faces are wound differently"):
+    with pytest.raises(InputError, match="mesh is inconsistently oriented"):
         patch_operator(PATCHES, moebius)
     with pytest.raises(InputError, match="no patches of a surface: 'square'"):
         patches_from_json({"kind": "square"})

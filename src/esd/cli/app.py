@@ -71,7 +71,7 @@ _EXAMPLES: dict[Callable[..., None], tuple[str, ...]] = {
     evaluate: ("esd evaluate bodies --include 's1[0-3]_p0[0369]'",),
     spectrum: ("esd spectrum a.ply -k 100 -o a.npz",),
     descriptor: ("esd descriptor a.ply --kind wks -o a-wks.npz",),
-    doctor: ("esd doctor a.ply --repair mended.ply",),
+    doctor: ("esd doctor a.ply --repair repaired.ply",),
     reproduce: ("esd reproduce table1 --data bodies -o paper",),
     cache: ("esd cache --clear",),
 }

@@ -111,7 +111,7 @@ def evaluate(
         chosen = collection.of_subjects(kept).pairs()
     figures, errors = [], {}
     steps = len(chosen) + len({shape.name for pair in chosen for shape in pair})
-    with progress("evaluating", steps * len(models)) as went:
+    with progress("evaluating", steps * len(models)) as advance:
         for name, loaded in zip(dict.fromkeys(model), models, strict=True):
             result, found = evaluate_model(
                 loaded,
@@ -121,7 +121,7 @@ def evaluate(
                 rotate=rotate,
                 workers=computing,
                 cache=default_cache(),
-                on_step=lambda: went(1),
+                on_step=lambda: advance(1),
             )
             measured = {key: value for key, value in asdict(result).items() if value is not None}
             figures.append({"model": loaded.name, "data": collection.name, **measured})

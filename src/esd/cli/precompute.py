@@ -79,7 +79,7 @@ def precompute(
     if include:
         collection = collection.including(include)
     total = len(collection.shapes) * (1 + remeshings)
-    with progress("describing", total) as went:
+    with progress("describing", total) as advance:
         done = precompute_collection(
             collection,
             recipe,
@@ -87,7 +87,7 @@ def precompute(
             remeshings=remeshings,
             workers=computing,
             renew=force,
-            on_shape=lambda: went(1),
+            on_shape=lambda: advance(1),
         )
     summary = {
         "store": str(output),

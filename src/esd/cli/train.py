@@ -177,7 +177,10 @@ def _unsupervised(
     first = None if start is None else load_model(start)
     cache = default_cache()
     shapes = len(chosen.shapes) + (len(held.shapes) if held else 0)
-    with progress("describing", shapes) as described, progress("training", teaching.steps) as went:
+    with (
+        progress("describing", shapes) as described,
+        progress("training", teaching.steps) as advance,
+    ):
         model = train_unsupervised(
             chosen,
             training,
@@ -190,7 +193,7 @@ def _unsupervised(
             workers=EVERY_CORE,
             cache=cache,
             on_shape=lambda: described(1),
-            on_progress=_since_last(went),
+            on_progress=_since_last(advance),
         )
     used = replace(chosen, shapes=tuple(chosen[name] for name in model.card["shapes"]))
     with progress("judging", min(_JUDGED, len(used.shapes))) as judged:

@@ -27,7 +27,7 @@ class Shape:
     name : str
         Unique in its collection.
     subject : str
-        Whose shape it is. Shapes of one subject never stand on both sides of a split.
+        Whose shape it is. Shapes of one subject are never on both sides of a split.
     template : str
         Shapes of one template correspond with each other; those of different ones do not.
     mesh

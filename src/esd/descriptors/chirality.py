@@ -54,7 +54,7 @@ def gradient_products(
     Parameters
     ----------
     mesh
-        Its faces all wound alike, and outward for the sign to be comparable between shapes.
+        Consistently oriented, and outward for the sign to be comparable between shapes.
     fields : (n, c)
         Values at the vertices.
     pairs : (p, 2)
@@ -65,8 +65,8 @@ def gradient_products(
     Raises
     ------
     InputError
-        If the two faces of an edge are wound differently, so that no side is outward, or the
-        spectrum is not of the mesh.
+        If the mesh is inconsistently oriented, so that no side is outward, or the spectrum is
+        not of the mesh.
     """
     if len(spectrum.mass) != len(mesh.vertices) or len(fields) != len(mesh.vertices):
         raise InputError(
@@ -75,9 +75,9 @@ def gradient_products(
         )
     if parity == "odd" and not has_sides(mesh):
         raise InputError(
-            "The mesh's faces are wound differently, so that its outside is not defined, and left "
-            "cannot be told from right. Repair it first (esd doctor MESH --repair OUT), or take a "
-            "model of HKS or WKS alone."
+            "The mesh is inconsistently oriented, so that its outside is not defined, and left and "
+            "right cannot be distinguished. Repair it first (esd doctor MESH --repair OUT), or use "
+            "a model of HKS or WKS alone."
         )
     f, g = pairs.T
     to_vertices = _thirds(mesh)

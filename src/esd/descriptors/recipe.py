@@ -30,7 +30,7 @@ _OPTIONS = {"sihks": {"time_unit"}, "geometry": {"largest"}}
 _PRODUCT_OPTIONS = {"of", "columns", "reach", "times"}
 
 DESCRIPTOR_KINDS = tuple(_DESCRIPTORS)
-"""Names of the descriptors that have a value at each vertex and stand for themselves."""
+"""Names of the descriptors that have a value at each vertex and are used by name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +112,7 @@ class Descriptor:
 
 @dataclass(frozen=True, slots=True)
 class Recipe:
-    """Which descriptors stand side by side in the columns, and of which spectrum.
+    """Which descriptors are concatenated in the columns, and of which spectrum.
 
     Parameters
     ----------

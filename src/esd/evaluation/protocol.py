@@ -211,7 +211,8 @@ class _EvaluatedShape:
     points : (p,)
         Vertex in the file at each point of the template; -1 where it has none.
     truth
-        The same on the surface on which errors are measured, repaired but not restored.
+        The same on the surface on which errors are measured, repaired but neither filled nor
+        smoothed.
     measured_index : (n,)
         The vertex of that surface of each vertex in the file; -1 for none.
     """

@@ -120,10 +120,10 @@ def _features(models: Mapping[str, Model], mesh: Mesh, cache: Cache | None) -> d
     """Features of a shape by all models."""
     # all of `MODELS` take the same spectrum
     recipe = next(iter(models.values())).recipe
-    plain, restored = repair(mesh), repair(mesh, restore=True)
+    plain, smoothed = repair(mesh), repair(mesh, restore=True)
     as_it_is = as_matched = (plain, recipe_spectrum(recipe, plain.shape, cache=cache))
-    if restored.done != plain.done:
-        as_matched = (restored, recipe_spectrum(recipe, restored.shape, cache=cache))
+    if smoothed.done != plain.done:
+        as_matched = (smoothed, recipe_spectrum(recipe, smoothed.shape, cache=cache))
     features = {}
     for name, model in models.items():
         shape, pairs = as_it_is if name in _AS_THEY_ARE else as_matched

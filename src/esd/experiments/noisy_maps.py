@@ -78,7 +78,7 @@ def series_of(maps: Sequence[NoisyMaps], noise: str, model: str) -> tuple[NoisyM
 
 
 def mean_error(maps: NoisyMaps) -> float:
-    """Mean over pairs of the mean error of each, up to left and right, in percent."""
+    """Mean over pairs of the symmetry-aware mean error of each, in percent."""
     return 100 * float(np.nanmean(np.nanmean(maps.nearer, axis=1)))
 
 
@@ -166,8 +166,8 @@ def _errors_table(maps: Sequence[NoisyMaps]) -> Table:
             )
     return Table(
         "errors",
-        "Mean error, percent of the diameter, up to left and right; and of the default model to "
-        "the true vertex alone",
+        "Symmetry-aware mean error, percent of the diameter; and that of the default model to the "
+        "true vertex alone",
         ("noise", "level", *MODELS, "default, true side"),
         tuple(rows),
     )

@@ -62,7 +62,7 @@ class AnisotropicPatches:
 def anisotropic_patches(mesh: Mesh, patches: AnisotropicPatches) -> SparseMatrix:
     """Weights (n · times · angles, n) that average values at the vertices by heat kernels, float32.
 
-    The rows of a vertex stand together: its times, the shortest first, of each time the angles,
+    The rows of a vertex are adjacent: its times, the shortest first, of each time the angles,
     counter-clockwise as seen from outside, from the direction in which the surface is curved most.
     In that of angle θ heat flows least. Of each kernel only the largest entries are kept, and
     divided by their sum. Vertices without a face keep their own value.

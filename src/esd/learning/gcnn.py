@@ -58,7 +58,7 @@ class GeodesicPatches:
 def geodesic_patches(mesh: Mesh, patches: GeodesicPatches) -> SparseMatrix:
     """Weights (n · rings · rays, n) that average values at the vertices over bins, float32.
 
-    The rows of a vertex stand together: its rings from the inside, of each ring the rays
+    The rows of a vertex are adjacent: its rings from the inside, of each ring the rays
     counter-clockwise as seen from outside, the first of which is arbitrary. Each row sums to one.
     With D and θ the polar coordinates of a vertex around another, its weight in the other's bin at
     (ρ, ϑ) is proportional to

@@ -293,12 +293,12 @@ def _model_of(
 
 
 def save_model(model: Model, folder: str | os.PathLike[str]) -> None:
-    """Write a model folder whole, in place of a model that stood there.
+    """Write a model folder whole, in place of a model that was there.
 
     Raises
     ------
     InputError
-        If something that is no model stands there, or it cannot be written.
+        If something else than a model is there, or it cannot be written.
     """
     folder = Path(folder)
     check_model_destination(folder)

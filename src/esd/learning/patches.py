@@ -47,7 +47,7 @@ def patch_operator(
 ) -> SparseMatrix:
     """Weights (n · bins, n) float32 that average values at the vertices over the bins of patches.
 
-    The bins of a vertex stand together. Rows sum to one.
+    The bins of a vertex are adjacent. Rows sum to one.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def patch_operator(
     Raises
     ------
     InputError
-        If the shape has no faces, or these are wound so that it has no outside.
+        If the shape has no faces, or is inconsistently oriented, so that it has no outside.
     """
     if isinstance(shape, PointCloud):
         raise InputError(
@@ -66,8 +66,8 @@ def patch_operator(
     mesh = turned_outward(shape)
     if not has_sides(mesh):
         raise InputError(
-            "The mesh's faces are wound differently, so that its outside, and which way is around "
-            "a vertex, is not defined. Repair it first (esd doctor MESH --repair OUT)."
+            "The mesh is inconsistently oriented, so that its outside, and the direction around a "
+            "vertex, are not defined. Repair it first (esd doctor MESH --repair OUT)."
         )
 
     def compute() -> Arrays:

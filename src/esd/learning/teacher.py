@@ -68,8 +68,8 @@ def lesson(
 ) -> Lesson:
     """Matches found from the nearest embeddings, refined, and sifted.
 
-    Where both shapes have known points in common, three or more, the closeness to these stands
-    beside the embeddings.
+    Where both shapes have known points in common, three or more, the closeness to these is
+    used beside the embeddings.
 
     Parameters
     ----------

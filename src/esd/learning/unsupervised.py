@@ -98,7 +98,7 @@ class Teaching:
 
 @dataclass(frozen=True, slots=True)
 class TeachingProgress:
-    """Where a training without correspondences stands.
+    """Progress of a training without correspondences.
 
     Parameters
     ----------
@@ -480,7 +480,7 @@ def _loss(
     """InfoNCE of some matches, between copies of the two shapes drawn at random.
 
     Weighed by how much of the map could be relied on; what is known is added to it. Points near
-    each other are not told apart.
+    each other are not distinguished.
     """
     known = matches.source.shared(matches.target)
     taught = matches.lesson.source, matches.lesson.target
@@ -508,7 +508,7 @@ def _loss(
 
 
 def _are_near(positions: Rows) -> npt.NDArray[np.bool_]:
-    """Whether any two points are too near to be told apart, (b, b)."""
+    """Whether any two points are too near to be distinguished, (b, b)."""
     squares = (positions**2).sum(axis=1)
     return squares[:, None] + squares - 2 * positions @ positions.T < _NEAR**2
 

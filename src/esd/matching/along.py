@@ -154,21 +154,21 @@ def _repaired_pair(source: MeshLike, target: MeshLike, match: Correspondence) ->
             f"{counts[1]}."
         )
     here, there = (repair(each, all_pieces=True) for each in arrays)
-    # of original vertices that were joined, any that is matched speaks for the joined one
+    # of original vertices that were joined, any that is matched represents the joined one
     joined = np.flatnonzero((match.target_index >= 0) & (here.vertex_index >= 0))
-    speaker = here.original_index.copy()
-    other = np.full(len(speaker), -1, dtype=np.int64)
+    reporter = here.original_index.copy()
+    other = np.full(len(reporter), -1, dtype=np.int64)
     other[here.vertex_index[joined]] = joined
-    silent = match.target_index[speaker] < 0
-    speaker = np.where(silent & (other >= 0), other, speaker)
-    index = match.target_index[speaker]
+    silent = match.target_index[reporter] < 0
+    reporter = np.where(silent & (other >= 0), other, reporter)
+    index = match.target_index[reporter]
     index = np.where(index >= 0, there.vertex_index[index], -1)
     if not (index >= 0).any():
         raise InputError("The map has no match between usable parts of the shapes.")
     return _Pair(
         here,
         there,
-        Correspondence(index, match.distance[speaker], match.confidence[speaker]),
+        Correspondence(index, match.distance[reporter], match.confidence[reporter]),
         *(np.asarray(faces, dtype=np.int64).reshape(-1, 3) for _, faces in arrays),
     )
 

@@ -42,7 +42,7 @@ def one_to_one(source: FloatArray, target: FloatArray, *, candidates: int = 30) 
     count = min(candidates, len(there))
     squared, near = nearest_candidates(source[here], target[there], count=count)
     none = float(squared.max())
-    # each source vertex has a column of its own that stands for no match; weights must not be 0
+    # each source vertex has a column of its own that means no match; weights must not be 0
     columns = np.concatenate([near, len(there) + np.arange(len(here))[:, None]], axis=1)
     cost = np.concatenate([squared, np.full((len(here), 1), none)], axis=1) + 1e-6 * none + 1e-300
     rows = np.repeat(np.arange(len(here)), count + 1)

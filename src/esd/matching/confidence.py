@@ -32,7 +32,7 @@ ADVICE = {
     "good": "",
     "doubtful": "Parts of the map are wrong; look at the confidence of each vertex.",
     "failed": "The map is not to be trusted: the shapes differ too much, or too much is missing.",
-    "mirrored": "The map turns the surface over: one of the meshes is inside out, or its "
+    "mirrored": "The map is orientation-reversing: one of the meshes is inside out, or its "
     "coordinates are a mirror image. If they are, left and right are exchanged.",
 }
 """What to do about each verdict."""
@@ -51,7 +51,7 @@ class Judgement:
         counterpart and lie within 5 % of the geodesic diameter of it.
     orientation
         Between −1 and 1: the share of the source's surface, by area, that keeps its side under
-        the map less the share that is turned over, as the faces of both files are wound.
+        the map less the share that is reversed, as the faces of both files are oriented.
     costs
         Of the candidates that the map was chosen from, by name, see `esd.matching.judge`; the
         least is best. Empty where there was no choice.
@@ -143,7 +143,7 @@ def confidence(
 
 
 def orientation(source: Mesh, target: Mesh, target_index: IntArray) -> float:
-    """Share of the source's area that keeps its side, less the share turned over.
+    """Share of the source's area that keeps its orientation, less the share reversed.
 
     Faces whose corners do not go to three vertices have no part.
     """
@@ -151,8 +151,10 @@ def orientation(source: Mesh, target: Mesh, target_index: IntArray) -> float:
     a, b, c = (target.vertices[image[:, corner]] for corner in range(3))
     turn = np.einsum("ij,ij->i", np.cross(b - a, c - a), vertex_normals(target)[image].sum(axis=1))
     area = face_areas(source)
-    told = (image >= 0).all(axis=1) & (turn != 0)
-    return float(area[told] @ np.sign(turn[told]) / max(area[told].sum(), np.finfo(float).tiny))
+    mapped = (image >= 0).all(axis=1) & (turn != 0)
+    return float(
+        area[mapped] @ np.sign(turn[mapped]) / max(area[mapped].sum(), np.finfo(float).tiny)
+    )
 
 
 def judgement(

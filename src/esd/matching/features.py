@@ -37,7 +37,7 @@ class Features:
     embedded : (r, d)
         Embedding of its vertices.
     is_turned
-        Whether its faces were all turned outward by the repair.
+        Whether the repair reoriented all of its faces outward.
     vertex_index, original_index : (n,) and (r,)
         The vertex of the shape of each of the n original ones, and back, see
         `esd.mesh.repair.repair.Repaired`. Where the shape is a coarse copy: of the repaired mesh.
@@ -152,7 +152,7 @@ def shape_features(
         pairs,
         values.astype(np.float32),
         model.embed(values, operator),
-        # faces that were wound differently have no outside of their own that could be turned
+        # an inconsistently oriented mesh has no outside of its own that could be flipped
         "inside_out_pieces" in repaired.done and "inconsistent_winding" not in repaired.done,
         repaired.vertex_index,
         repaired.original_index,

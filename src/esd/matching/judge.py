@@ -36,7 +36,7 @@ class Evidence:
     dirichlet
         Root mean square of how much longer edges become, each at most five times.
     orientation
-        Share of the triangles that keep their side, less the share turned over.
+        Share of the triangles that keep their orientation, less the share reversed.
     uncovered
         Share of the target farther than 0.06 from the image of any triangle.
     gap

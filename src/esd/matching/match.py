@@ -69,9 +69,9 @@ def match(
     ----------
     source, target
         Meshes, or whatever `as_mesh` takes, or points without faces. What is wrong with them is
-        logged in one line, and what can be mended without harm is, small holes and noise included,
-        see `esd.mesh.repair.repair`. The map is that of the original vertices; those left out have
-        no match.
+        logged in one line, and what can be repaired without harm is, including small holes and
+        noise, see `esd.mesh.repair.repair`. The map is that of the original vertices; those left
+        out have no match.
     model
         A `Model`, or what `load_model` takes.
     refine

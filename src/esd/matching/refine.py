@@ -35,7 +35,7 @@ def zoomout(
     """The target vertex of each source vertex, (n,), refined with more and more eigenfunctions.
 
     In each step the map becomes a functional map of that size, and this a map again: that to the
-    nearest of the `spectral_rows`. With embeddings, theirs stand beside these rows, so that a
+    nearest of the `spectral_rows`. With embeddings, theirs are beside these rows, so that a
     vertex goes where both agree. Spectral rows alone take shapes for nearly isometric, and spoil a
     good map between shapes that are not; embeddings keep it. The first map must be right about
     left and right: one that is not is made smooth on the wrong side.

@@ -229,9 +229,9 @@ def places_of_points(
     reach = np.linalg.norm(points[:, None] - target.vertices[hits], axis=2)
     reach[hits < 0] = np.inf
     first_choice = reach.argmin(axis=1)[:, None]
-    speaker = np.full(len(target.vertices) + 1, -1)  # one more, which stands for none
-    speaker[hit] = usable[first]
-    places = _at_vertices(source, speaker[np.take_along_axis(hits, first_choice, axis=1)[:, 0]])
+    of_image = np.full(len(target.vertices) + 1, -1)  # one more, for none
+    of_image[hit] = usable[first]
+    places = _at_vertices(source, of_image[np.take_along_axis(hits, first_choice, axis=1)[:, 0]])
     if method == "nearest":
         return places
 

@@ -115,7 +115,7 @@ def with_attributes(source: MeshLike, attributes: Mapping[str, npt.NDArray[Any]]
 
 
 def _pyvista_triangles(padded: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Faces of pyvista's flat list, in which the vertex count stands before each face."""
+    """Faces of pyvista's flat list, in which the vertex count precedes each face."""
     if padded.ndim == 2:
         return padded
     if len(padded) % 4 or (padded[::4] != 3).any():

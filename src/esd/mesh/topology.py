@@ -18,7 +18,7 @@ SLIVER = 0.02
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sides:
-    """The sides of a mesh's faces, (3 m,), sorted so that those of one edge stand together.
+    """The sides of a mesh's faces, (3 m,), sorted so that those of one edge are adjacent.
 
     `low` and `high` number the corners (3 · face + corner) at the edge's smaller and larger vertex;
     `count` is the number of faces of the side's edge, and `next` says that the side after it is of
@@ -176,9 +176,9 @@ def cut_apart(mesh: Mesh, *, at_edges: bool) -> tuple[Mesh, IntArray]:
 
 
 def patches(mesh: Mesh, sides: Sides) -> tuple[BoolArray, IntArray, BoolArray]:
-    """Faces to turn so that neighbours wind alike, patches of faces, and which have only one side.
+    """Faces to flip for a consistent orientation, patches of faces, and which are non-orientable.
 
-    Returns (m,), (m,) and (patches,). Faces of patches with one side stay as they are.
+    Returns (m,), (m,) and (patches,). Faces of non-orientable patches are unchanged.
 
     Each face is two nodes, itself and itself turned; neighbours that wind alike join equal nodes,
     others unequal ones. A patch with two sides falls into two components, one the other's mirror.
@@ -206,7 +206,7 @@ def has_sides(mesh: Mesh) -> bool:
 
 
 def with_turned(mesh: Mesh, turned: BoolArray) -> Mesh:
-    """The mesh with some of its faces, (m,), wound the other way."""
+    """The mesh with some of its faces, (m,), flipped."""
     if not turned.any():
         return mesh
     return replace(mesh, faces=np.where(turned[:, None], mesh.faces[:, ::-1], mesh.faces))
@@ -238,7 +238,7 @@ def is_inward(mesh: Mesh, sides: Sides, patch: IntArray) -> BoolArray:
 
 
 def turned_outward(mesh: Mesh) -> Mesh:
-    """The mesh with neighbouring faces wound alike, and closed pieces facing outward."""
+    """The mesh consistently oriented, and closed pieces outward."""
     sides = sides_of(mesh)
     turned, patch, _ = patches(mesh, sides)
     mesh = with_turned(mesh, turned)
@@ -275,7 +275,7 @@ def largest_piece(mesh: Mesh) -> Mesh:
 
 
 def compacted(mesh: Mesh) -> tuple[Mesh, IntArray]:
-    """The mesh without vertices that have no face; and what each became, (n,), -1 if it went."""
+    """The mesh without vertices that have no face; and what each became, (n,), -1 if removed."""
     used = is_referenced(mesh)
     index = np.where(used, np.cumsum(used) - 1, -1)
     return Mesh(mesh.vertices[used], index[mesh.faces]), index

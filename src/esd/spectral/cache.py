@@ -141,7 +141,7 @@ def content_key(what: str, *arrays: npt.NDArray[Any], **parameters: object) -> s
     Parameters
     ----------
     what
-        Name of what is computed; it stands at the head of the key.
+        Name of what is computed; it is the head of the key.
     """
     digest = hashlib.sha256()
     head = {"format": _FORMAT, "what": what, **parameters}

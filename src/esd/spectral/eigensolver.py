@@ -280,7 +280,7 @@ def _cut(ritz: Ritz, k: int, allowed: float, *, separated: float) -> _Cut | None
 
 
 def _counted(stiffness: SparseMatrix, mass: Mass, cut: _Cut) -> tuple[int, _Cut]:
-    """The number of eigenvalues below the ceiling, moved to where that can be told."""
+    """The number of eigenvalues below the ceiling, moved to where it can be counted."""
     shares = [0.0, -1.0, 1.0, -0.5, 0.5]
     while True:
         moved = replace(cut, ceiling=cut.ceiling + shares.pop(0) * cut.play)

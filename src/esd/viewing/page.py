@@ -173,7 +173,7 @@ def _packed(
 ) -> tuple[list[tuple[str, str, int, int]], str]:
     """Name, kind, first byte and length of each array, and all bytes in base64.
 
-    Arrays of four-byte elements stand before those of single bytes, so that all are aligned.
+    Arrays of four-byte elements precede those of single bytes, so that all are aligned.
     """
     layout, content = [], b""
     for name, array in sorted(arrays.items(), key=lambda item: -item[1].itemsize):

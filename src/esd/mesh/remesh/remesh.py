@@ -42,7 +42,7 @@ SLIVER = 2.5  # sum of cotangents opposite to an edge, below minus which its tri
 DENSEST = 4.0  # times shorter, or longer, than usual that edges may be
 REPAIRS = 60  # rounds of adding sites; three are usual
 POOR = 0.05  # quality of a triangle, 1 if equilateral, below which its corners are moved
-MENDING = 4  # rounds of moving them
+REPAIR_ROUNDS = 4  # rounds of moving them
 WALK = 3  # vertices further on that the place nearest to a point may lie
 
 
@@ -134,7 +134,7 @@ def remesh(mesh: Mesh, vertex_count: int, *, style: str | Style = "graded", seed
     place = _at_sites(fine, sites)
     for _ in range(style.relaxing):
         place, faces = _relaxed(motion, place, faces, excess=excess, everywhere=True)
-    for _ in range(MENDING):
+    for _ in range(REPAIR_ROUNDS):
         if not _is_poor(place.positions(fine), faces, place.normals(fine)).any():
             break
         place, faces = _relaxed(motion, place, faces, excess=excess, everywhere=False)
@@ -500,7 +500,7 @@ def _relaxed(
 
 
 def _is_poor(vertices: npt.NDArray[np.float64], faces: IntArray, normals: FloatArray) -> BoolArray:
-    """Whether triangles are slivers or turned over."""
+    """Whether triangles are slivers or flipped."""
     corners = vertices[faces]
     squared = ((corners - np.roll(corners, 1, axis=1)) ** 2).sum(axis=(1, 2))
     area = face_areas(Mesh(vertices, faces))

@@ -24,7 +24,7 @@ def holes_filled(mesh: Mesh, *, shorter_than: float) -> tuple[Mesh, IntArray]:
     Parameters
     ----------
     mesh
-        Neighbouring faces must be wound alike.
+        Must be consistently oriented.
     shorter_than
         Length of the rims, in units of the square root of the area.
     """

@@ -1,8 +1,8 @@
 """What is wrong with a mesh, what that does to results, and repairs that remember the original.
 
 Scans have holes, flipped faces, loose pieces and worse. `diagnose` names what it finds; `repair`
-mends it and says which vertex became which, so that descriptors and maps computed on the repaired
-mesh come back for the original vertices.
+removes it and records which vertex became which, so that descriptors and maps computed on the
+repaired mesh refer to the original vertices.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ from esd.mesh.topology import (
     without_repeats,
 )
 
-RESTORED = frozenset({"holes", "folded_edges"})
-"""Findings about which something is done where a surface is restored, see `repair`."""
+FILLED_AND_SMOOTHED = frozenset({"holes", "folded_edges"})
+"""Findings that `restore` repairs, see `repair`."""
 
 _FOLDED = 0.03  # share of the edges; up to half of that is ordinary in toes and ears
 _SPIKE, _FEW_SPIKES = 1.2, 0.01  # of the box around nearly all vertices, and of the faces
@@ -164,13 +164,13 @@ def repair(
         What `as_mesh` takes, or points without faces; what was repaired before stays as it is.
     everything
         Whether also what may change a sound part of the shape is done: cutting sheets apart along
-        edges of more than two faces, leaving out faces of which a vertex is missing, and what
+        non-manifold edges, leaving out faces of which a vertex is missing, and what
         `restore` does.
     all_pieces
         Whether all connected pieces are kept, and not only the one with the largest area.
     restore
-        Whether the surface is restored even if not everything is repaired: small holes filled,
-        noise smoothed. Maps become better, while areas and lengths are no longer those measured.
+        Whether small holes are filled and noise is smoothed even if not everything is repaired.
+        Maps become better, while areas and lengths are no longer those measured.
 
     Raises
     ------
@@ -195,7 +195,7 @@ def repair(
         raise InputError(f"{named}Nothing of the mesh can be used: {diagnosis.in_a_line()}.")
     done = {f.kind for f in diagnosis.findings if f.always_repaired or everything}
     if restore:
-        done |= RESTORED & {f.kind for f in diagnosis.findings}
+        done |= FILLED_AND_SMOOTHED & {f.kind for f in diagnosis.findings}
     if all_pieces:
         done.discard("loose_pieces")
     original = np.arange(len(vertices), dtype=np.int64)
