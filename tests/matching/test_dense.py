@@ -8,7 +8,7 @@ from esd.matching.correspondence import Correspondence
 from esd.matching.dense import carried_to_dense
 from esd.matching.match import match
 from esd.matching.transfer import Places
-from esd.mesh.geometry import edge_lengths, surface_area
+from esd.mesh.geometry import edge_lengths, is_referenced, surface_area
 from esd.mesh.mesh import Mesh
 from esd.mesh.remesh.remesh import nearest_place
 from esd.mesh.shapes import grid, subdivide
@@ -96,6 +96,12 @@ def test_a_subdivided_copy_keeps_values_at_the_vertices(blob):
     copy = fine_copy(blob, 2000)
     assert len(copy.mesh.vertices) >= 2000
     np.testing.assert_allclose(copy.carried(copy.mesh.vertices), blob.vertices)
+    lone = Mesh(np.insert(blob.vertices, 7, 9.0, axis=0), blob.faces + (blob.faces >= 7))
+    copy = fine_copy(lone, 2000)
+    assert is_referenced(copy.mesh).all()
+    assert copy.face[7] == -1
+    others = np.delete(np.arange(len(lone.vertices)), 7)
+    np.testing.assert_allclose(copy.carried(copy.mesh.vertices)[others], blob.vertices)
 
 
 def test_copies_are_refused_where_there_are_to_be_none(blob):

@@ -11,6 +11,7 @@ from esd.common import FloatArray, InputError, IntArray
 from esd.mesh.geometry import is_referenced
 from esd.mesh.mesh import Mesh, PointCloud
 from esd.mesh.shapes import subdivide
+from esd.mesh.topology import compacted
 from esd.spectral.cache import Arrays, Cache, content_key
 from esd.spectral.laplacian import LaplacianKind, lumped_mass
 from esd.spectral.spectrum import Spectrum, spectrum
@@ -90,6 +91,7 @@ def fine_copy(mesh: Mesh, least: int) -> MeshCopy:
     """A copy of a mesh subdivided until it has at least some number of vertices.
 
     The surface stays the same: flat faces are cut in four at the midpoints of their edges.
+    Vertices without a face are left out.
     """
     copy = mesh
     while len(copy.vertices) < least:
@@ -102,7 +104,9 @@ def fine_copy(mesh: Mesh, least: int) -> MeshCopy:
     barycentric = np.full((len(corner), 3), np.nan)
     found = np.flatnonzero(corner >= 0)
     barycentric[found] = np.eye(3)[corner[found] % 3]
-    return MeshCopy(copy, mesh.vertices, np.where(corner >= 0, corner // 3, -1), barycentric)
+    face = np.where(corner >= 0, corner // 3, -1)
+    # without vertices that have no face, which could only be matched with each other
+    return MeshCopy(compacted(copy)[0], mesh.vertices, face, barycentric)
 
 
 def coarse_spectrum(
