@@ -11,6 +11,9 @@ from pathlib import Path
 
 import pytest
 
+from esd.mesh.io.meshes import write_mesh
+from esd.mesh.shapes import torus
+
 pytest.importorskip("distributed", reason="a cluster needs the extra `cluster`")
 
 LIMIT = 180  # seconds for any step; a few are usual
@@ -54,23 +57,46 @@ def started(command: list[str], folder: Path, **options):
 
 
 @pytest.fixture
-def cluster(tmp_path):
-    """Address of a scheduler, and its two workers."""
+def scheduler(tmp_path):
+    """Address of a scheduler without workers."""
     python = [sys.executable, "-m"]
     contact = tmp_path / "scheduler.json"
     scheduler = [*python, "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0"]
     scheduler += ["--no-dashboard", "--scheduler-file", str(contact)]
-    worker = [*python, "distributed.cli.dask_worker", "--scheduler-file", str(contact)]
-    worker += ["--nthreads", "1", "--no-nanny", "--no-dashboard"]
-    worker += ["--local-directory", str(tmp_path)]
     with started(scheduler, tmp_path):
         deadline = time.monotonic() + LIMIT
         while not (contact.exists() and contact.read_text()):
             assert time.monotonic() < deadline, (tmp_path / "log").read_text()
             time.sleep(0.1)
         address = json.loads(contact.read_text())["address"]
-        with started(worker, tmp_path) as first, started(worker, tmp_path) as second:
-            yield address, (first, second)
+        yield address
+
+
+@pytest.fixture
+def cluster(scheduler, tmp_path):
+    """Address of a scheduler, and its two workers."""
+    worker = [sys.executable, "-m", "distributed.cli.dask_worker", scheduler]
+    worker += ["--nthreads", "1", "--no-nanny", "--no-dashboard"]
+    worker += ["--local-directory", str(tmp_path)]
+    with started(worker, tmp_path) as first, started(worker, tmp_path) as second:
+        yield scheduler, (first, second)
+
+
+def test_a_cluster_without_workers_is_not_waited_for_without_end(scheduler, tmp_path):
+    code = (
+        "import sys, esd.parallel as parallel; from esd.cli import main\n"
+        "parallel._SILENCE = 0.5\n"
+        "main()\n"
+    )
+    write_mesh(torus(12, 8), tmp_path / "a.off")
+    (tmp_path / "pairs.csv").write_text("source,target\na.off,a.off\n")
+    command = [sys.executable, "-c", code, "batch", "pairs.csv", "-m", "gps"]
+    command += ["--scheduler", scheduler, "--patience", "3"]
+    with started(command, tmp_path) as process:
+        assert process.wait() == 1
+    said = (tmp_path / "log").read_text()
+    assert "esd: The scheduler has no workers yet; waiting for some." in said
+    assert "esd: The scheduler has had no workers for 3 s. Start some by" in said
 
 
 def test_a_cluster_computes_the_same_bytes_and_outlives_a_worker(cluster, shapes, tmp_path):

@@ -66,6 +66,14 @@ def test_view_writes_a_page_with_the_error(run, pair):
     assert "must have the same points; one has 96" in done.stderr
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux has such names")
+def test_names_that_are_no_text_are_shown(run, pair):
+    odd = os.fsdecode(b"a\xff.off")
+    (pair / odd).write_bytes((pair / "a.off").read_bytes())
+    run("view", odd, "b.off", "map.csv", "-o", "odd.html", where=pair)
+    assert "a\N{REPLACEMENT CHARACTER}.off" in (pair / "odd.html").read_text()
+
+
 def test_export_keeps_matches_and_changes_formats(run, pair):
     run("export", "a.off", "b.off", "map.csv", "--truth", "map.csv", "-o", "a.ply", where=pair)
     assert b"property int target\n" in (pair / "a.ply").read_bytes()

@@ -1,3 +1,5 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy import sparse
@@ -161,9 +163,20 @@ def test_environment_chooses_the_cache(monkeypatch, tmp_path):
     monkeypatch.setenv("ESD_CACHE", str(tmp_path))
     monkeypatch.setenv("ESD_CACHE_LIMIT", "0.5")
     assert default_cache() == Cache(tmp_path, 500_000_000)
-    monkeypatch.setenv("ESD_CACHE_LIMIT", "big")
-    with pytest.raises(InputError, match="number of gigabytes"):
-        default_cache()
+    for limit in ("big", "inf", "nan", "-1"):
+        monkeypatch.setenv("ESD_CACHE_LIMIT", limit)
+        with pytest.raises(InputError, match="number of gigabytes"):
+            default_cache()
+
+
+def test_who_has_no_home_folder_has_no_cache(monkeypatch, caplog):
+    def homeless(name: str) -> Path:
+        raise RuntimeError("could not determine the home directory")
+
+    monkeypatch.delenv("ESD_CACHE")
+    monkeypatch.setattr("platformdirs.user_cache_path", homeless)
+    assert default_cache() is None
+    assert "name a folder in ESD_CACHE" in caplog.text
 
 
 def test_stiffness_is_sparse_and_in_columns(sphere):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -81,7 +82,11 @@ def write_page(
     """Write the page of a map between two mesh files."""
     from esd.viewing.page import view as page_of
 
-    names = {"source_name": source[0].name, "target_name": target[0].name}
+    # names of files may hold bytes that are no text
+    names = {
+        key: os.fsencode(file.name).decode("utf-8", errors="replace")
+        for key, file in (("source_name", source[0]), ("target_name", target[0]))
+    }
     page_of(source[1], target[1], match, error=error, up=up, **names).save(path)
 
 

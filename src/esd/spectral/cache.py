@@ -115,12 +115,13 @@ def default_cache() -> Cache | None:
     """The user's cache.
 
     The environment variable `ESD_CACHE` names another folder, or is `off` for none;
-    `ESD_CACHE_LIMIT` is its size in gigabytes, 4 where it is not set.
+    `ESD_CACHE_LIMIT` is its size in gigabytes, 4 where it is not set. Without either a user who
+    has no home folder has no cache, which the log says.
 
     Raises
     ------
     InputError
-        If `ESD_CACHE_LIMIT` is not a number.
+        If `ESD_CACHE_LIMIT` is not a finite number from 0 on.
     """
     folder = os.environ.get("ESD_CACHE", "")
     if folder.lower() == "off":
@@ -128,11 +129,19 @@ def default_cache() -> Cache | None:
     limit = os.environ.get("ESD_CACHE_LIMIT", "4")
     try:
         size = int(float(limit) * 1e9)
-    except ValueError as error:
+        if size < 0:
+            raise ValueError
+    except (ValueError, OverflowError) as error:
         raise InputError(
             f"ESD_CACHE_LIMIT must be a number of gigabytes; got '{limit}'."
         ) from error
-    return Cache(Path(folder) if folder else platformdirs.user_cache_path("esd"), size)
+    if folder:
+        return Cache(Path(folder), size)
+    try:
+        return Cache(platformdirs.user_cache_path("esd"), size)
+    except RuntimeError:
+        _log.warning("There is no home folder for a cache of spectra; name a folder in ESD_CACHE.")
+        return None
 
 
 def content_key(what: str, *arrays: npt.NDArray[Any], **parameters: object) -> str:
