@@ -68,6 +68,14 @@ def test_a_batch_gives_the_maps_of_its_pairs_and_describes_each_shape_once(folde
         ("source,target\na.off,b.off\na.off,b.off\n", "several maps to"),
         ("source,target,output\na.off,b.off,m.xyz\n", "a map's file ends in"),
         ("source,target\n\x00\xff", "is no CSV file"),
+        (
+            "source,target,source_landmarks\na.off,b.off,a.csv\n",
+            "landmarks of both shapes, or none",
+        ),
+        (
+            "source,target,source_landmarks,target_landmarks\na.off,b.off,a.csv,b.csv\n",
+            "pair 1: there is no file '.*a.csv'",
+        ),
     ],
 )
 def test_bad_lists_of_pairs_are_refused(tmp_path, text, message):
@@ -76,6 +84,26 @@ def test_bad_lists_of_pairs_are_refused(tmp_path, text, message):
         read_pairs_of_files(tmp_path / "p.csv")
     with pytest.raises(InputError, match="There is no file"):
         read_pairs_of_files(tmp_path / "q.csv")
+
+
+def test_a_batch_takes_landmarks_of_its_pairs(folder):
+    for name, step in (("a", 0), ("b", 1)):
+        lines = [f"{i},{100 * i + step}" for i in range(4)]
+        (folder / f"{name}.csv").write_text("\n".join(["name,vertex", *lines]))
+    (folder / "pairs.csv").write_text(
+        "source,target,source_landmarks,target_landmarks\na.off,b.off,a.csv,b.csv\n"
+    )
+    (pair,) = read_pairs_of_files(folder / "pairs.csv", folder=folder)
+    (done,) = match_files((pair,), model=MODEL, workers=Workers(1))
+    assert done.failure is None
+    vertices = 100 * np.arange(4)
+    landmarks = np.stack([vertices, vertices + 1], axis=1)
+    single = match(pair.source, pair.target, model=MODEL, landmarks=landmarks)
+    count = len(single.target_index)
+    found = load_map(pair.output, source_count=count, target_count=count)
+    np.testing.assert_array_equal(found.target_index, single.target_index)
+    plain = match(pair.source, pair.target, model=MODEL)
+    assert (found.target_index != plain.target_index).any()
 
 
 def test_a_batch_by_way_of_coarse_copies_gives_the_maps_of_its_pairs(folder):

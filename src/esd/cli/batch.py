@@ -42,8 +42,8 @@ def batch(
         Path,
         typer.Argument(
             metavar="PAIRS",
-            help="A .csv file with the columns source, target and, if wanted, output; names "
-            "relative to its folder.",
+            help="A .csv file with the columns source, target and, if wanted, output, "
+            "source_landmarks and target_landmarks; names relative to its folder.",
         ),
     ],
     output: Annotated[

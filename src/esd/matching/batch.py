@@ -15,21 +15,28 @@ from esd.common import InputError
 from esd.learning.model import Model
 from esd.matching.correspondence import check_map_path, save_map
 from esd.matching.features import Features
+from esd.matching.landmarks import paired_landmarks
 from esd.matching.match import Mirror, check_copies, match_features, prepared, working_features
+from esd.mesh.io.landmarks import read_landmarks
 from esd.mesh.mesh import Mesh, PointCloud
+from esd.mesh.repair.repair import usable_part
 from esd.parallel import EVERY_CORE, Workers, outcomes, shared_folder
 from esd.spectral.cache import default_cache
 from esd.spectral.coarse import MeshCopy
 from esd.spectral.spectrum import Spectrum
 
+LANDMARK_COLUMNS = ("source_landmarks", "target_landmarks")
+"""Of a file of pairs, where the shapes have landmarks."""
+
 
 @dataclass(frozen=True, slots=True)
 class PairOfFiles:
-    """Two shapes, and the file that their map goes to."""
+    """Two shapes, the file that their map goes to, and files of landmarks of both or neither."""
 
     source: Path
     target: Path
     output: Path
+    landmarks: tuple[Path, Path] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +70,8 @@ def read_pairs_of_files(
 ) -> tuple[PairOfFiles, ...]:
     """Pairs in a CSV file with the columns `source,target` and, if wanted, `output`.
 
-    Names are relative to the folder of that file.
+    Names are relative to the folder of that file. Files in the columns `source_landmarks` and
+    `target_landmarks`, if there are any, hold landmarks of the shapes, paired by name.
 
     Parameters
     ----------
@@ -84,19 +92,27 @@ def read_pairs_of_files(
             if not {"source", "target"} <= set(rows.fieldnames or ()):
                 raise InputError(f"'{path}' must have the columns source,target (and output).")
             listed = [
-                [(row[key] or "").strip() for key in ("source", "target")]
-                + [(row.get("output") or "").strip()]
+                [
+                    (row.get(key) or "").strip()
+                    for key in ("source", "target", "output", *LANDMARK_COLUMNS)
+                ]
                 for row in rows
             ]
     except (csv.Error, UnicodeDecodeError) as error:
         raise InputError(f"'{path}' is no CSV file: {error}.") from error
     pairs = []
-    for number, (source, target, output) in enumerate(listed, start=1):
+    for number, (source, target, output, *landmarks) in enumerate(listed, start=1):
         if not source or not target:
             raise InputError(f"'{path}', pair {number}: a source and a target are needed.")
+        if any(landmarks) and not all(landmarks):
+            raise InputError(f"'{path}', pair {number}: landmarks of both shapes, or none.")
         default = Path(folder) / f"{Path(source).stem}-{Path(target).stem}.csv"
         written = check_map_path(path.parent / output if output else default)
-        pairs.append(PairOfFiles(path.parent / source, path.parent / target, written))
+        files = (path.parent / landmarks[0], path.parent / landmarks[1]) if any(landmarks) else None
+        missing = [file for file in files or () if not file.is_file()]
+        if missing:
+            raise InputError(f"'{path}', pair {number}: there is no file '{missing[0]}'.")
+        pairs.append(PairOfFiles(path.parent / source, path.parent / target, written, files))
     if not pairs:
         raise InputError(f"'{path}' lists no pair.")
     outputs = [pair.output.resolve() for pair in pairs]
@@ -222,6 +238,13 @@ def _match(
     min_confidence: float,
 ) -> MatchedPair:
     source, target = load_features(places[pair.source]), load_features(places[pair.target])
+    landmarks = None
+    if pair.landmarks is not None:
+        read = [
+            read_landmarks(file, usable_part(mesh))
+            for file, mesh in zip(pair.landmarks, (pair.source, pair.target), strict=True)
+        ]
+        _, landmarks = paired_landmarks(*read)
     found = (
         match_features(
             source,
@@ -229,6 +252,7 @@ def _match(
             model=model,
             refine=refine,
             candidates=candidates,
+            landmarks=landmarks,
             mirror=mirror,
             one_to_one=one_to_one,
         )
