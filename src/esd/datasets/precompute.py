@@ -72,8 +72,8 @@ def precompute(
     """Write the descriptors of a collection's shapes to a store, or bring the store up to date.
 
     Shapes that the store has, with equal content, are not computed again; those it has of the
-    same collection beyond these stay. Each shape is first written to a part of its own, in the
-    folder `PATH.parts`, from which an interrupted run goes on. Spectra go to the user's cache of
+    same collection beyond these remain. Each shape is first written to a part of its own, in the
+    folder `PATH.parts`, from which an interrupted run resumes. Spectra go to the user's cache of
     the process that computes.
 
     Parameters
