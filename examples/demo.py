@@ -45,7 +45,7 @@ def main() -> None:
     print(f"within 5 % of the diameter: {figures.accuracy_5pct_diameter:.1%}")
     print(f"mean geodesic error x 100 / √area: {figures.mean_geodesic_error_x100:.2f}")
     symmetric = figures.symmetric_mean_geodesic_error_x100
-    print(f"the same, left and right not told apart: {symmetric:.2f}")
+    print(f"the same, symmetry-aware: {symmetric:.2f}")
 
     for shape, mesh in zip((source, target), meshes, strict=True):
         write_mesh(mesh, options.output / f"{shape.name}.ply")

@@ -41,9 +41,9 @@ def descriptor(
     destination(path, force=force, inputs=[mesh])
     recipe = single_recipe(kind, log=log)
     with about(mesh), progress("computing"):
-        shape = repair(mesh)
-        values = descriptors(recipe, shape.shape, cache=default_cache())
-    values = shape.carried_back(values)
-    tell_findings(mesh, shape)
+        repaired = repair(mesh)
+        values = descriptors(recipe, repaired.shape, cache=default_cache())
+    values = repaired.carried_back(values)
+    tell_findings(mesh, repaired)
     save_descriptor(values, path)
     tell(f"{kind}: {values.shape[0]} vertices, {values.shape[1]} components; {path}")

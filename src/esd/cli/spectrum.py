@@ -59,13 +59,13 @@ def spectrum(
     destination(path, force=force, inputs=[mesh])
     options: dict[str, Any] = {"kind": laplacian.value, "cache": default_cache()}
     with about(mesh), progress("computing"):
-        shape = repair(mesh, all_pieces=True)
+        repaired = repair(mesh, all_pieces=True)
         if coarse is None:
-            eigenpairs = compute(shape.shape, k, **options)
+            eigenpairs = compute(repaired.shape, k, **options)
         else:
-            eigenpairs = coarse_spectrum(shape.shape, k, vertex_count=coarse, **options)
-    eigenpairs = eigenpairs.carried(shape.vertex_index)
-    tell_findings(mesh, shape)
+            eigenpairs = coarse_spectrum(repaired.shape, k, vertex_count=coarse, **options)
+    eigenpairs = eigenpairs.carried(repaired.vertex_index)
+    tell_findings(mesh, repaired)
     save_spectrum(eigenpairs, path)
     values = eigenpairs.eigenvalues
     tell(f"{len(values)} eigenvalues from {values[0]:g} to {values[-1]:g}; {path}")

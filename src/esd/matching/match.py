@@ -260,10 +260,10 @@ def match_repaired(
         from esd.matching.precise import precise_map
 
         copies = [
-            coarse_copy(shape.shape, len(shape.shape.vertices))
-            if shape.copy is None
-            else shape.copy
-            for shape in (source, target)
+            coarse_copy(features.shape, len(features.shape.vertices))
+            if features.copy is None
+            else features.copy
+            for features in (source, target)
         ]
         image = precise_map(*rows, copies[1].mesh.faces, found.target_index)
         found = carried_to_dense(found, image, *copies)
