@@ -252,7 +252,7 @@ def test_points_are_kept_once_and_finite():
     np.testing.assert_array_equal(repaired.original_index, np.arange(COUNT))
     assert found(PointCloud(SPHERE.vertices)) == {}
     assert repaired.compacted() is repaired
-    with pytest.raises(InputError, match="not a single finite point"):
+    with pytest.raises(InputError, match="None of its points has three finite coordinates"):
         repair((np.full((3, 3), np.nan), np.zeros((0, 3), int)))
 
 

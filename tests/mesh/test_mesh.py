@@ -7,6 +7,7 @@ from esd.common import InputError
 from esd.mesh import geometry as m
 from esd.mesh.convert import as_mesh
 from esd.mesh.mesh import Mesh
+from esd.mesh.repair.repair import repair
 from esd.mesh.shapes import grid, icosphere, subdivide, torus
 
 TRIANGLE = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
@@ -93,3 +94,14 @@ def test_subdivision_keeps_the_first_vertices():
     np.testing.assert_array_equal(fine.vertices[: len(mesh.vertices)], mesh.vertices)
     assert m.surface_area(fine) == pytest.approx(m.surface_area(mesh))
     assert m.signed_volume(fine) == pytest.approx(m.signed_volume(mesh))
+
+
+def test_rows_of_different_lengths_are_refused_in_plain_words():
+    triangle = [[0, 0, 0], [1, 0, 0], [0, 1, 0]]
+    for make in (as_mesh, repair):
+        for arrays, message in (
+            (([[0, 0, 0], [1, 1]], [[0, 1, 2]]), "got words, or rows of different lengths"),
+            ((triangle, [[0, 1, 2], [0, 1]]), "Cut polygons into triangles first"),
+        ):
+            with pytest.raises(InputError, match=message):
+                make(arrays)

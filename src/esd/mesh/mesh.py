@@ -68,7 +68,9 @@ def _checked_vertices(vertices: npt.ArrayLike) -> npt.NDArray[np.float64]:
     try:
         array = np.array(vertices, dtype=np.float64, order="C")
     except (TypeError, ValueError) as error:
-        raise InputError(f"`vertices` must be numbers of shape (n, 3): {error}") from error
+        raise InputError(
+            "`vertices` must be numbers of shape (n, 3); got words, or rows of different lengths."
+        ) from error
     if array.ndim != 2 or array.shape[1] != 3:
         hint = " Transpose it?" if array.ndim == 2 and array.shape[0] == 3 else ""
         raise InputError(f"`vertices` must have shape (n, 3); got {array.shape}.{hint}")
@@ -83,7 +85,13 @@ def _checked_vertices(vertices: npt.ArrayLike) -> npt.NDArray[np.float64]:
 
 
 def _checked_faces(faces: npt.ArrayLike, vertex_count: int) -> IntArray:
-    array = np.asarray(faces)
+    try:
+        array = np.asarray(faces)
+    except ValueError as error:
+        raise InputError(
+            "`faces` must have shape (m, 3); got rows of different lengths. Cut polygons into "
+            "triangles first."
+        ) from error
     if array.ndim != 2 or array.shape[1] != 3:
         hint = " Transpose it?" if array.ndim == 2 and array.shape[0] == 3 else ""
         raise InputError(f"`faces` must have shape (m, 3); got {array.shape}.{hint}")

@@ -90,7 +90,9 @@ def read_arrays(path: str | os.PathLike[str]) -> tuple[npt.NDArray[Any], npt.NDA
         raise InputError(f"'{path}': {error}") from error
     except Exception as error:  # whatever a parser stumbles over is bad input
         kind = path.suffix[1:].upper()
-        raise InputError(f"'{path}' cannot be read as {kind}: {error}") from error
+        faulty = isinstance(error, AttributeError | TypeError | KeyError | IndexError)
+        why = "it is damaged, or of another format" if faulty else str(error)
+        raise InputError(f"'{path}' cannot be read as {kind}: {why}") from error
 
 
 def write_mesh(mesh: Mesh, path: str | os.PathLike[str]) -> None:

@@ -248,8 +248,16 @@ def _loose_arrays(source: MeshLike) -> tuple[npt.NDArray[np.float64], IntArray]:
     try:
         vertices = np.array(vertices, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise InputError(f"`vertices` must be numbers of shape (n, 3): {error}") from error
-    faces = np.asarray(faces)
+        raise InputError(
+            "`vertices` must be numbers of shape (n, 3); got words, or rows of different lengths."
+        ) from error
+    try:
+        faces = np.asarray(faces)
+    except ValueError as error:
+        raise InputError(
+            "`faces` must have shape (m, 3); got rows of different lengths. Cut polygons into "
+            "triangles first."
+        ) from error
     for name, array, letter in (("vertices", vertices, "n"), ("faces", faces, "m")):
         if array.ndim != 2 or array.shape[1] != 3:
             raise InputError(f"`{name}` must have shape ({letter}, 3); got {array.shape}.")
@@ -455,7 +463,7 @@ def _repaired_points(vertices: npt.NDArray[np.float64]) -> Repaired:
     findings, points = _examine_points(vertices)
     diagnosis = Diagnosis(len(vertices), 0, _size(points), tuple(findings))
     if len(points) == 0:
-        raise InputError("There is not a single finite point.")
+        raise InputError("None of its points has three finite coordinates; export it anew.")
     finite = _is_finite(vertices)
     _, first, inverse = np.unique(
         vertices[finite] + 0.0, axis=0, return_index=True, return_inverse=True
