@@ -72,7 +72,7 @@ def test_coordinate_systems_of_slicer_are_obeyed(tmp_path, suffix, make):
     path.write_text(make("RAS"))
     turned = Mesh(SHAPE.vertices * [-1, -1, 1], SHAPE.faces)
     np.testing.assert_array_equal(read_landmarks(path, turned).vertices, range(0, 300, 17))
-    with pytest.raises(InputError, match="With x and y negated, that is LPS for RAS, they would"):
+    with pytest.raises(InputError, match=r"With x and y negated \(LPS for RAS\) they would"):
         read_landmarks(path, SHAPE)
     path.write_text(make("XYZ"))
     with pytest.raises(InputError, match="coordinate system 'XYZ'; expected LPS or RAS"):

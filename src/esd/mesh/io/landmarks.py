@@ -29,7 +29,7 @@ _UNITS = {
     "inches to metres": 0.0254,
 }
 _AXES = {
-    "x and y negated, that is LPS for RAS": ((0, 1, 2), (-1, -1, 1)),
+    "x and y negated (LPS for RAS)": ((0, 1, 2), (-1, -1, 1)),
     "x negated": ((0, 1, 2), (-1, 1, 1)),
     "y negated": ((0, 1, 2), (1, -1, 1)),
     "z negated": ((0, 1, 2), (1, 1, -1)),
