@@ -18,7 +18,7 @@ with atheris.instrument_imports(include=["esd", "trimesh.exchange"]):
     import numpy as np
 
     from esd.common import InputError
-    from esd.mesh.io.meshes import FORMATS, POINT_FORMATS, read_arrays
+    from esd.mesh.io.meshes import FORMATS, POINT_FORMATS, WRITTEN_FORMATS, read_arrays
     from esd.mesh.repair.repair import repair
 
 _SUFFIXES = FORMATS + POINT_FORMATS
@@ -49,7 +49,7 @@ def _seeds(folder: Path) -> None:
     from hostile_files import HOSTILE
 
     for number, suffix in enumerate(_SUFFIXES):
-        if suffix not in (".gltf", ".xyz"):
+        if suffix in WRITTEN_FORMATS:
             write_mesh(icosphere(0), _FOLDER / f"seed{suffix}")
             content = (_FOLDER / f"seed{suffix}").read_bytes()
             (folder / f"whole{number}").write_bytes(bytes([number]) + content)

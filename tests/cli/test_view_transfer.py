@@ -77,7 +77,7 @@ def test_names_that_are_no_text_are_shown(run, pair):
 def test_export_keeps_matches_and_changes_formats(run, pair):
     run("export", "a.off", "b.off", "map.csv", "--truth", "map.csv", "-o", "a.ply", where=pair)
     assert b"property int target\n" in (pair / "a.ply").read_bytes()
-    assert b"property double error\n" in (pair / "a.ply").read_bytes()
+    assert b"property float error\n" in (pair / "a.ply").read_bytes()
     run("export", "a.off", "b.off", "map.csv", "-o", "m.vts", where=pair)
     match = load_map(pair / "m.vts", source_count=96, target_count=384)
     np.testing.assert_array_equal(match.target_index, np.arange(96))
@@ -127,13 +127,8 @@ def test_colours_and_texture_are_carried(run, pair):
     pytest.importorskip("PIL", reason="pillow is not installed")
     from PIL import Image
 
-    from esd.mesh.io.attributes import (
-        Texture,
-        read_texture,
-        read_vertex_colours,
-        write_coloured,
-        write_textured,
-    )
+    from esd.mesh.io.attributes import read_vertex_colours, write_coloured
+    from esd.mesh.io.textures import Texture, read_texture, write_textured
 
     mesh = read_mesh(pair / "a.off")
     write_coloured(mesh, np.full((96, 4), 200, dtype=np.uint8), pair / "a.ply")

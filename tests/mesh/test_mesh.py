@@ -48,7 +48,7 @@ def test_as_mesh_takes_what_holds_a_mesh():
     for source in (Mesh(TRIANGLE, faces), (TRIANGLE, faces), trimesh, meshio, pyvista):
         np.testing.assert_array_equal(as_mesh(source).faces, faces)
     with pytest.raises(InputError, match="no triangles"):
-        as_mesh(SimpleNamespace(points=TRIANGLE, cells_dict={"quad": faces}))
+        as_mesh(SimpleNamespace(points=TRIANGLE, cells_dict={"line": faces}))
     with pytest.raises(InputError, match="triangulate"):
         as_mesh(SimpleNamespace(points=TRIANGLE, faces=np.array([4, 0, 1, 2, 0])))
     with pytest.raises(InputError, match="Expected a mesh"):

@@ -14,6 +14,7 @@ from esd.cli.output import about, destination
 from esd.cli.progress import progress
 
 if TYPE_CHECKING:
+    from esd.mesh.mesh import Mesh
     from esd.mesh.repair.repair import Repaired
 
 
@@ -90,7 +91,7 @@ def doctor(
         if not isinstance(done.shape, Mesh):
             raise InputError("Points cannot be written as a mesh; match takes them as they are.")
         write_mesh(done.shape, repair)
-        _save_index_map(done, map_path)
+        _save_index_map(done, done.shape, map_path, repair)
         kept = int((done.vertex_index >= 0).sum())
         summary["repaired"] = {
             "mesh": str(repair),
@@ -108,19 +109,18 @@ def doctor(
         typer.echo(json.dumps(summary))
 
 
-def _save_index_map(repaired: Repaired, path: Path) -> None:
+def _save_index_map(repaired: Repaired, written: Mesh, path: Path, mesh_path: Path) -> None:
     """Write which vertex became which as a map, which `esd.load_map` reads."""
     import numpy as np
 
     from esd.matching.correspondence import Correspondence, save_map
+    from esd.mesh.io.stl import stl_vertices
 
-    kept = repaired.vertex_index >= 0
-    save_map(
-        Correspondence(
-            repaired.vertex_index, np.where(kept, 0.0, np.inf), np.where(kept, 1.0, 0.0)
-        ),
-        path,
-    )
+    index = repaired.vertex_index
+    kept = index >= 0
+    if mesh_path.suffix.lower() == ".stl":  # its vertices come back in another order
+        index = np.where(kept, stl_vertices(written)[index], -1)
+    save_map(Correspondence(index, np.where(kept, 0.0, np.inf), np.where(kept, 1.0, 0.0)), path)
 
 
 def tell_findings(path: Path, repaired: Repaired) -> None:

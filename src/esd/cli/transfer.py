@@ -106,8 +106,8 @@ def transfer(
 def _check_destination(path: Path, what: str, inputs: list[Path], force: bool) -> None:
     """Refuse a wrong suffix, and to write on an input or a file that exists, before any work."""
     from esd.common import InputError
-    from esd.mesh.io.attributes import TEXTURE_FORMATS
     from esd.mesh.io.landmarks import LANDMARK_FORMATS
+    from esd.mesh.io.textures import TEXTURE_FORMATS
 
     suffixes = {
         "texture": TEXTURE_FORMATS,
@@ -153,7 +153,7 @@ def _transfer_texture(source: Path, target: Path, match: Correspondence, path: P
     from dataclasses import replace
 
     from esd.matching.along import transferred_texture
-    from esd.mesh.io.attributes import read_texture, write_textured
+    from esd.mesh.io.textures import read_texture, write_textured
 
     texture = read_texture(source)
     mesh = read_drawable(target)

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from esd.common import InputError, IntArray, whole_file
 from esd.datasets.collection import Collection, Shape
-from esd.mesh.io.meshes import FORMATS, write_mesh
+from esd.mesh.io.meshes import WRITTEN_FORMATS, write_mesh
 from esd.parallel import THIS_PROCESS, Workers, outcomes
 
 
@@ -37,7 +37,7 @@ def export_folder(
     Parameters
     ----------
     suffix : str
-        Format of the meshes, one of `esd.mesh.io.meshes.FORMATS`.
+        Format of the meshes, one of `esd.mesh.io.meshes.WRITTEN_FORMATS`.
     part_names
         Names of the parts, in the order of their labels.
     part_labels : (p,), optional
@@ -52,8 +52,8 @@ def export_folder(
     InputError
         If the suffix is unknown, a shape cannot be made, or the folder cannot be written to.
     """
-    if suffix not in FORMATS:
-        raise InputError(f"`suffix` must be one of {', '.join(FORMATS)}; got '{suffix}'.")
+    if suffix not in WRITTEN_FORMATS:
+        raise InputError(f"`suffix` must be one of {', '.join(WRITTEN_FORMATS)}; got '{suffix}'.")
     folder = Path(folder)
     folders = ["shapes", "corres"] + ["parts"] * (part_labels is not None)
     try:

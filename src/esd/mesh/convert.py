@@ -15,7 +15,9 @@ from esd.common import InputError
 from esd.mesh.mesh import Mesh, PointCloud
 
 MeshLike: TypeAlias = Any
-"""A `Mesh`, a path, a pair (vertices, faces), or a trimesh, meshio or pyvista mesh."""
+"""A `Mesh`, a path, a pair (vertices, faces), or a trimesh, meshio, pyvista or Open3D mesh."""
+
+_VTK_TRIANGLE, _VTK_QUAD = 5, 9
 
 
 def as_mesh(source: MeshLike) -> Mesh:
@@ -25,8 +27,10 @@ def as_mesh(source: MeshLike) -> Mesh:
     ----------
     source
         A `Mesh`; the path of a mesh file; a pair (vertices, faces); or an object of trimesh
-        (`vertices`, `faces`), meshio (`points`, `cells_dict`) or pyvista (`points`, `regular_faces`
-        or `faces`). Vertex order and count are kept. None of these packages is imported.
+        (`vertices`, `faces`; or a scene, its parts placed and joined), Open3D (`vertices`,
+        `triangles`), meshio (`points`, `cells_dict`) or pyvista (`points`, `faces`; or
+        `cells_dict` of an unstructured grid). Vertex order and count are kept. None of these
+        packages is imported.
 
     Raises
     ------
@@ -62,20 +66,23 @@ def as_arrays(source: MeshLike) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
         return read_arrays(Path(source))
     if isinstance(source, tuple | list) and len(source) == 2:
         return source[0], source[1]
-    if hasattr(source, "vertices") and hasattr(source, "faces"):
-        return np.asarray(source.vertices), np.asarray(source.faces)
+    if hasattr(source, "geometry") and hasattr(source, "to_mesh"):  # a scene of trimesh
+        if not any(hasattr(each, "faces") for each in source.geometry.values()):
+            raise InputError("The trimesh scene has no meshes.")
+        source = source.to_mesh()
+    if hasattr(source, "vertices"):
+        for name in ("faces", "triangles"):  # trimesh, Open3D
+            if hasattr(source, name):
+                return np.asarray(source.vertices), np.asarray(getattr(source, name))
+        return np.asarray(source.vertices), np.zeros((0, 3), dtype=np.int64)  # a cloud of trimesh
     if hasattr(source, "points") and hasattr(source, "cells_dict"):
-        cells = source.cells_dict
-        if "triangle" not in cells:
-            raise InputError(
-                f"The meshio mesh has no triangles, only {sorted(cells) or 'points'}; "
-                "triangulate it first."
-            )
-        return np.asarray(source.points), np.asarray(cells["triangle"])
+        return _cells(np.asarray(source.points), source.cells_dict)
     if hasattr(source, "points") and hasattr(source, "faces"):
         return np.asarray(source.points), _pyvista_triangles(np.asarray(source.faces))
+    if hasattr(source, "points") and type(source).__module__.startswith("open3d"):
+        return np.asarray(source.points), np.zeros((0, 3), dtype=np.int64)
     raise InputError(
-        "Expected a mesh: a path, (vertices, faces), or a trimesh, meshio or pyvista mesh; "
+        "Expected a mesh: a path, (vertices, faces), or a trimesh, meshio, pyvista or Open3D mesh; "
         f"got {type(source).__name__}."
     )
 
@@ -112,6 +119,30 @@ def with_attributes(source: MeshLike, attributes: Mapping[str, npt.NDArray[Any]]
     result = deepcopy(source)
     getattr(result, place).update(attributes)
     return result
+
+
+def _cells(
+    points: npt.NDArray[Any], cells: Mapping[Any, Any]
+) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+    """Triangles and quadrilaterals, cut in two, of cells by their type.
+
+    meshio names the types, pyvista has VTK's numbers.
+    """
+    parts = []
+    for kind, corners in cells.items():
+        if kind in ("triangle", _VTK_TRIANGLE):
+            parts.append(np.asarray(corners))
+        elif kind in ("quad", _VTK_QUAD):
+            quads = np.asarray(corners).reshape(-1, 4)
+            halves = np.stack([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]], axis=1)
+            parts.append(halves.reshape(-1, 3))
+    if not parts:
+        found = ", ".join(sorted(map(str, cells))) or "points"
+        raise InputError(
+            f"The mesh has no triangles, only cells of type {found}; extract its surface and "
+            "triangulate it first."
+        )
+    return points, np.concatenate(parts)
 
 
 def _pyvista_triangles(padded: npt.NDArray[Any]) -> npt.NDArray[Any]:

@@ -171,7 +171,7 @@ def _nearest_vertices(
     worst = int(over.argmax())
     if over[worst] <= 0:
         return np.asarray(used[nearest])
-    explained = _explanations(points, excess)
+    explained = _explanations(points, excess, least=_TOLERANCE * diagonal)
     hint = (
         f"With {explained} they would be on the surface; convert the file."
         if explained
@@ -185,9 +185,17 @@ def _nearest_vertices(
 
 
 def _explanations(
-    points: FloatArray, excess: Callable[[FloatArray], tuple[FloatArray, IntArray, FloatArray]]
+    points: FloatArray,
+    excess: Callable[[FloatArray], tuple[FloatArray, IntArray, FloatArray]],
+    *,
+    least: float,
 ) -> str:
-    """The change of unit, of axes, or of both that brings all points onto the surface, if one."""
+    """The change of unit, of axes, or of both that brings all points onto the surface, if one.
+
+    A unit that leaves the points less than `least` apart explains nothing: it brings any points
+    to one place.
+    """
+    extent = float(np.linalg.norm(np.ptp(points, axis=0)))
     factors = {f"{name} (times {value:g})": value for name, value in _UNITS.items()}
     for name, value in _UNITS.items():
         first, second = name.split(" to ")
@@ -199,7 +207,7 @@ def _explanations(
         best, found = math.inf, ""
         for (unit, factor), (axis, (order, sign)) in itertools.product(units.items(), axes.items()):
             kind = "both" if unit and axis else "unit" if unit else "axes" if axis else ""
-            if kind != allowed:
+            if kind != allowed or (unit and factor * extent < least):
                 continue
             over, _, distance = excess(factor * points[:, order] * sign)
             if over.max() <= 0 and distance.mean() < best:

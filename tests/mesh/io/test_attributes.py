@@ -10,14 +10,12 @@ import trimesh
 from esd.common import InputError
 from esd.mesh.convert import as_mesh, with_attributes
 from esd.mesh.io.attributes import (
-    Texture,
-    read_texture,
     read_vertex_colours,
     write_coloured,
-    write_textured,
     write_with_attributes,
 )
 from esd.mesh.io.meshes import read_mesh, write_mesh
+from esd.mesh.io.textures import Texture, read_texture, write_textured
 from esd.mesh.shapes import grid, torus
 
 Image = pytest.importorskip("PIL.Image", reason="pillow is not installed")
@@ -34,9 +32,13 @@ def test_ply_keeps_attributes_and_order(tmp_path, attributes):
     write_with_attributes(mesh, attributes, tmp_path / "m.ply")
     loaded = trimesh.load_mesh(tmp_path / "m.ply", process=False)
     np.testing.assert_array_equal(loaded.faces, mesh.faces)
+    np.testing.assert_array_equal(read_mesh(tmp_path / "m.ply").vertices, mesh.vertices)
     raw = loaded.metadata["_ply_raw"]["vertex"]["data"]
     np.testing.assert_array_equal(raw["target"], attributes["target"])
-    np.testing.assert_array_equal(raw["error"], attributes["error"])
+    np.testing.assert_array_equal(raw["error"], attributes["error"].astype("f4"))
+    np.testing.assert_array_equal(raw["quality"], attributes["target"].astype("f4"))  # MeshLab
+    colours = read_vertex_colours(tmp_path / "m.ply")
+    np.testing.assert_array_equal(colours[[0, -1]], [[68, 1, 84, 255], [253, 231, 37, 255]])
 
 
 def test_vtp_holds_what_its_arrays_say(tmp_path, attributes):
