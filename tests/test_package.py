@@ -38,7 +38,7 @@ def test_importing_it_loads_no_other_package():
 
 def test_a_map_of_plain_files_loads_only_what_it_needs(tmp_path):
     for name in ("a.off", "b.off"):
-        write_mesh(icosphere(3), tmp_path / name)
+        write_mesh(icosphere(4), tmp_path / name)
     code = (
         "import sys; from esd.cli import main\n"
         "try: main()\n"
