@@ -1,0 +1,34 @@
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import trimesh
+
+from esd.common import InputError
+from esd.mesh.convert import as_arrays, as_mesh
+from esd.mesh.shapes import torus
+
+MESH = torus(7, 5)
+
+
+def test_scenes_clouds_and_open3d_meshes_are_taken():
+    part = trimesh.Trimesh(MESH.vertices, MESH.faces, process=False)
+    scene = trimesh.Scene()
+    scene.add_geometry(part)
+    scene.add_geometry(part, transform=trimesh.transformations.translation_matrix([9, 0, 0]))
+    assert len(as_mesh(scene).vertices) == 70
+    assert np.ptp(as_mesh(scene).vertices[:, 0]) > 9
+    vertices, faces = as_arrays(trimesh.PointCloud(MESH.vertices))
+    assert (len(vertices), len(faces)) == (35, 0)
+    with pytest.raises(InputError, match="scene has no meshes"):
+        as_mesh(trimesh.Scene([trimesh.PointCloud(MESH.vertices)]))
+    open3d = SimpleNamespace(vertices=MESH.vertices, triangles=MESH.faces)
+    np.testing.assert_array_equal(as_mesh(open3d).faces, MESH.faces)
+
+
+def test_unstructured_grids_hold_triangles_and_quadrilaterals():
+    cells = {5: np.array([[0, 1, 2]]), 9: np.array([[0, 1, 2, 3]])}
+    grid = SimpleNamespace(points=MESH.vertices, cells_dict=cells)
+    np.testing.assert_array_equal(as_mesh(grid).faces, [[0, 1, 2], [0, 1, 2], [0, 2, 3]])
+    with pytest.raises(InputError, match="only cells of type 10"):
+        as_mesh(SimpleNamespace(points=MESH.vertices, cells_dict={10: cells[9]}))
