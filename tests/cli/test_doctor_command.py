@@ -67,3 +67,18 @@ def test_commands_take_broken_meshes_and_points_and_say_so(blob, tmp_path):
         extra = () if command[0] == "descriptor" else ("-o", tmp_path / "s.npz")
         assert "doubled along seams" in run(*command, *extra).stderr
     assert np.load(tmp_path / "d.npy").shape == (blob.faces.size, 100)
+
+
+def test_the_map_beside_an_stl_file_fits_what_a_reader_gets(tmp_path):
+    from esd.cli.doctor import _save_index_map
+    from esd.mesh.repair.repair import repair
+    from esd.mesh.shapes import torus
+
+    mesh = torus(7, 5)
+    mesh = Mesh(mesh.vertices[::-1], 34 - mesh.faces[:, ::-1])
+    done = repair((mesh.vertices, mesh.faces), everything=True).compacted()
+    write_mesh(done.shape, tmp_path / "m.stl")
+    _save_index_map(done, done.shape, tmp_path / "map.csv", tmp_path / "m.stl")
+    index = load_map(tmp_path / "map.csv", source_count=35, target_count=35).target_index
+    back = read_mesh(tmp_path / "m.stl").vertices
+    np.testing.assert_allclose(back[index], mesh.vertices, atol=1e-6)  # 32 bits
