@@ -8,8 +8,9 @@ SECONDS ?= 1800
 demo: .venv/demo
 	$(BIN)/python examples/demo.py
 
+# with coverage and its floor, see pyproject.toml
 test: .venv/dev
-	$(BIN)/pytest
+	$(BIN)/pytest --cov --cov-report=
 
 check: .venv/dev
 	$(BIN)/ruff check .
