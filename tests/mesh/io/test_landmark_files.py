@@ -88,6 +88,7 @@ def test_coordinate_systems_of_slicer_are_obeyed(tmp_path, suffix, make):
         (lambda p: p[:, [0, 2, 1]] * [1, -1, 1], r"\(x, y, z\) as \(x, z, -y\)"),
         (lambda p: p * [-10, -10, 10], r"centimetres \(times 0.1\) and x and y negated"),
         (lambda p: p + 50, "Check that they belong to this mesh"),
+        (lambda p: p + 1e308, "Check that they belong to this mesh"),  # its square is infinite
     ],
 )
 def test_points_off_the_surface_are_refused_with_what_explains_it(tmp_path, change, message):

@@ -161,6 +161,7 @@ def _nearest_vertices(
         for column in ends.T:
             np.maximum.at(edge, column, length)
     tree = KDTree(corners)
+    points = np.clip(points, -1e100, 1e100)  # squares of greater ones overflow
 
     # a point on a large face is up to half an edge and more from all of its corners
     def excess(moved: FloatArray) -> tuple[FloatArray, IntArray, FloatArray]:
