@@ -97,7 +97,12 @@ def reflected(features: Features, *, model: Model) -> Features:
     mesh = Mesh(features.shape.vertices * [-1.0, 1.0, 1.0], features.shape.faces[:, ::-1])
     copy = features.copy
     if copy is not None:
-        copy = replace(copy, mesh=mesh, vertices=copy.vertices * [-1.0, 1.0, 1.0])
+        copy = replace(
+            copy,
+            mesh=mesh,
+            vertices=copy.vertices * [-1.0, 1.0, 1.0],
+            barycentric=copy.barycentric[:, ::-1],  # of the corners in their new order
+        )
     return replace(
         features,
         shape=mesh,
