@@ -10,7 +10,7 @@ demo: .venv/demo
 
 # with coverage and its floor, see pyproject.toml
 test: .venv/dev
-	$(BIN)/pytest --cov --cov-report=
+	$(BIN)/pytest --numprocesses auto --cov --cov-report=
 
 check: .venv/dev
 	$(BIN)/ruff check .
