@@ -179,14 +179,18 @@ def pair_descriptors(source: Sampled, target: Sampled) -> Rows:
 
     Rows have a mean square of about nine at the most; NaN at vertices without a face.
     """
-    values = [shape.features.values[shape.posed.sample].astype(float) for shape in (source, target)]
-    both = np.concatenate(values)
-    mean, deviation = np.nanmean(both, axis=0), np.nanstd(both, axis=0)
+    both = np.concatenate([shape.features.values[shape.posed.sample] for shape in (source, target)])
+    # moments in 64 bits, all else in the 32 of the descriptors
+    mean = np.nanmean(both, axis=0, dtype=np.float64).astype(np.float32)
+    deviation = np.nanstd(both, axis=0, dtype=np.float64).astype(np.float32)
     deviation[deviation == 0] = 1.0
-    width = np.sqrt(both.shape[1])
+    scale = np.float32(_LIMIT / np.sqrt(both.shape[1]))
 
     def standard(rows: FloatArray) -> FloatArray:
-        return np.clip((rows - mean) / deviation, -_LIMIT, _LIMIT) * (_LIMIT / width)
+        result = rows - mean
+        result /= deviation
+        np.clip(result, -_LIMIT, _LIMIT, out=result)
+        return result * scale
 
     rows = standard(both)
     rows = rows[np.isfinite(rows).all(axis=1)]

@@ -77,9 +77,9 @@ def chosen(
 ) -> Choice:
     """The candidate of least cost, see `esd.matching.judge`.
 
-    First come maps by embeddings and by the descriptors of the pair; the similarities that fit
-    them are starts of the alignment as well. Where one of them is sure and the alignment shows
-    that the shapes are of different poses, that is all.
+    First come maps by embeddings and, unless these are sure, by the descriptors of the pair; the
+    similarities that fit them are starts of the alignment as well. Where one of them is sure and
+    the alignment shows that the shapes are of different poses, that is all.
 
     Parameters
     ----------
@@ -100,15 +100,12 @@ def chosen(
     shapes = side_by_side(sampled, (source, target))
     descriptors = pair_descriptors(shapes[0], shapes[1])
     rows = {"embedding": (source.embedded, target.embedded), "descriptors": descriptors}
-    found = _judged(
-        [
-            spectral_candidate(name, shapes[0], shapes[1], rows[name])
-            for name in names
-            if name in rows
-        ],
-        shapes,
-        descriptors,
-    )
+    found: list[tuple[Candidate, Evidence]] = []
+    for name in names:
+        # descriptors find nothing better than a model that is sure
+        if name in rows and not (name == "descriptors" and _is_sure(found)):
+            candidate = spectral_candidate(name, shapes[0], shapes[1], rows[name])
+            found += _judged([candidate], shapes, descriptors)
     doubtful: IntArray = np.zeros(0, dtype=np.int64)
     if landmarks is not None:
         doubtful = contradicted(shapes[0], shapes[1], landmarks, descriptors)
@@ -118,12 +115,15 @@ def chosen(
         )
     if any(name.startswith("extrinsic") for name in names):
         alignment = _aligned(shapes, [candidate for candidate, _ in found])
-        sure = any(accuracy(each) >= _SURE for _, each in found)
-        if not sure or alignment.residual < _OTHER_POSE:
+        if not _is_sure(found) or alignment.residual < _OTHER_POSE:
             found += _judged(_extrinsic(shapes, alignment, rows, names), shapes, descriptors)
     costs = {candidate.name: cost(each) for candidate, each in found}
     best = min(found, key=lambda each: costs[each[0].name])
     return Choice(*best, costs, doubtful)
+
+
+def _is_sure(found: Sequence[tuple[Candidate, Evidence]]) -> bool:
+    return any(accuracy(each) >= _SURE for _, each in found)
 
 
 def _aligned(shapes: Sequence[Sampled], candidates: Sequence[Candidate]) -> Alignment:
