@@ -64,7 +64,7 @@ def test_from_training_to_a_map_and_its_error(shapes, tmp_path):
         "mean_geodesic_error_x100 median_geodesic_error_x100 accuracy_5pct_diameter auc coverage"
     )
     assert {*promised.split(), "pairs", "seconds"} <= set(trained)
-    assert "Steps done: 600" in run("model", "show", model).stdout
+    assert "600 steps" in run("model", "show", model).stdout
     assert "hks (raw descriptor)" in run("model", "list").stdout
 
 

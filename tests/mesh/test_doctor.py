@@ -18,6 +18,7 @@ from esd.mesh.geometry import (
 from esd.mesh.mesh import Mesh, PointCloud
 from esd.mesh.repair.repair import diagnose, repair
 from esd.mesh.shapes import grid, icosphere, torus
+from esd.spectral.spectrum import spectrum
 
 SPHERE = icosphere(3)
 COUNT = len(SPHERE.vertices)
@@ -211,7 +212,71 @@ def test_of_loose_pieces_the_largest_is_kept():
     assert finding.share == pytest.approx(1 / 5)  # a quarter of the area of the other
     repaired = repair(pair)
     np.testing.assert_array_equal(repaired.vertex_index >= 0, np.arange(2 * COUNT) >= COUNT)
-    assert components(repair(pair, all_pieces=True).shape).max() == 1
+    assert repaired.dropped == pytest.approx(1 / 5)
+    both = repair(pair, all_pieces=True)
+    assert components(both.shape).max() == 1
+    assert both.dropped == 0
+
+
+def test_only_the_piece_that_is_kept_says_whether_the_shape_was_inside_out():
+    crumb = Mesh(SPHERE.vertices / 10 + 5, SPHERE.faces)
+    turned = [Mesh(mesh.vertices, mesh.faces[:, ::-1]) for mesh in (SPHERE, crumb)]
+    assert repair(joined(turned[0], crumb)).is_flipped
+    assert not repair(joined(SPHERE, turned[1])).is_flipped
+    one_other = turned[0].faces.copy()
+    one_other[7] = one_other[7, ::-1]
+    assert repair((SPHERE.vertices, one_other)).is_flipped
+    one_other = SPHERE.faces.copy()
+    one_other[7] = one_other[7, ::-1]
+    assert not repair((SPHERE.vertices, one_other)).is_flipped
+
+
+@pytest.mark.parametrize("scale", [1.0, 1000.0])
+def test_seams_are_joined_where_rounding_moved_them_apart(scale):
+    upper = SPHERE.vertices[SPHERE.faces].mean(axis=1)[:, 2] > 0
+    noise = 1e-7 * scale * np.random.default_rng(0).uniform(-1, 1, SPHERE.vertices.shape)
+    vertices = np.concatenate([scale * SPHERE.vertices, scale * SPHERE.vertices + noise])
+    faces = np.where(upper[:, None], SPHERE.faces, SPHERE.faces + COUNT)
+    repaired = repair((vertices, faces))
+    assert len(boundary_edges(repaired.shape)) == 0
+    assert len(repaired.shape.faces) == len(SPHERE.faces)
+    moved = repaired.shape.vertices[repaired.vertex_index] - vertices
+    used = repaired.vertex_index >= 0
+    assert np.abs(moved[used]).max() < 2e-7 * scale
+    apart = (vertices + np.repeat([[0.0], [1e-4 * scale]], COUNT, axis=0), faces)
+    assert len(boundary_edges(repair(apart).shape)) > 0  # no rounding: they stay
+
+
+def collapsed_region(rounds):
+    """A sphere some of whose neighbouring vertices lie in one place."""
+    vertices, near = SPHERE.vertices.copy(), np.array([5])
+    for _ in range(rounds):
+        near = np.unique(SPHERE.faces[np.isin(SPHERE.faces, near).any(axis=1)])
+    vertices[near] = vertices[5]
+    return Mesh(vertices, SPHERE.faces)
+
+
+@pytest.mark.parametrize(
+    "mesh",
+    [
+        collapsed_region(1),
+        collapsed_region(2),
+    ],
+    ids=["ring", "two rings"],
+)
+def test_edges_without_length_are_collapsed(mesh):
+    assert found(mesh)["zero_length_edges"] > 0
+    with pytest.raises(InputError, match="cut vertices off; repair the mesh first"):
+        spectrum(mesh, 20)
+    repaired = repair(mesh)
+    assert "zero_length_edges" not in found(repaired.shape)
+    np.testing.assert_array_equal(
+        mesh.vertices[repaired.original_index[repaired.vertex_index]], mesh.vertices
+    )
+    exact = 2 * 4 * np.pi  # l (l + 1) at unit area; rounded to a tenth the sphere is rough
+    values = spectrum(repaired.compacted().shape, 20).eigenvalues
+    assert values[0] == 0
+    np.testing.assert_allclose(values[1:4], exact, rtol=0.15)
 
 
 def test_a_file_that_is_refused_is_named(tmp_path):
@@ -335,9 +400,10 @@ def test_any_arrays_are_diagnosed_and_repaired_or_refused(mesh):
         index = repaired.vertex_index
         kept = index >= 0
         assert len(index) == len(vertices)
-        np.testing.assert_array_equal(
-            vertices[repaired.original_index[index[kept]]] + 0.0, vertices[kept] + 0.0
-        )
+        here, there = vertices[repaired.original_index[index[kept]]], vertices[kept]
+        # seams join within 5e-7 of the size, at most twelve vertices in a row
+        rounding = 1e-5 * np.abs(vertices[np.isfinite(vertices).all(axis=1)]).max(initial=0)
+        assert (np.abs(here / 2 - there / 2) <= rounding).all()
         if everything and isinstance(repaired.shape, Mesh):
             kinds = found(repaired.compacted().shape, thorough=False)
             assert not {"non_manifold_edges", "duplicate_faces", "loose_pieces"} & set(kinds)

@@ -381,3 +381,22 @@ def test_a_ceiling_at_which_nothing_can_be_told_is_moved_within_its_gap(monkeypa
     assert not caplog.text
     degree = np.floor(np.sqrt(np.arange(60)))
     np.testing.assert_allclose(found.eigenvalues, degree * (degree + 1), rtol=0.05, atol=1e-6)
+
+
+def test_too_little_memory_is_said(monkeypatch, sphere):
+    def out_of_memory(*_, **__):
+        raise MemoryError
+
+    monkeypatch.setattr("esd.spectral.factorisation.splu", out_of_memory)
+    with pytest.raises(InputError, match="not enough memory to factorise"):
+        factorise(stiffness(sphere), lumped_mass(sphere), 1.0)
+
+
+def test_singular_matrices_are_refused_in_plain_words(monkeypatch, sphere):
+    def singular(*_, **__):
+        raise RuntimeError("Factor is exactly singular")
+
+    monkeypatch.setattr("esd.spectral.factorisation.splu", singular)
+    monkeypatch.setattr("esd.spectral.eigensolver.eigsh", singular)
+    with pytest.raises(InputError, match="eigenvalues cannot be computed"):
+        eigenpairs(stiffness(sphere), lumped_mass(sphere), 10)

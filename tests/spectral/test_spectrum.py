@@ -141,6 +141,34 @@ def test_damaged_entries_are_computed_again(tmp_path, sphere, caplog):
     assert "damaged" in caplog.text
 
 
+@pytest.mark.parametrize(
+    "altered",
+    [
+        lambda arrays: {"x": arrays["mass"]},
+        lambda arrays: {name: array.astype(str) for name, array in arrays.items()},
+        lambda arrays: {**arrays, "eigenvalues": 2 * arrays["eigenvalues"]},
+        lambda arrays: {k: v for k, v in arrays.items() if k != "digest"},
+    ],
+    ids=["names", "types", "content", "no digest"],
+)
+def test_altered_entries_are_computed_again(tmp_path, sphere, caplog, altered):
+    cache = Cache(tmp_path / "c", 10**9)
+    first = spectrum(sphere, 10, cache=cache)
+    [(path, _)] = cache.entries()
+    with np.load(path) as archive:
+        arrays = dict(archive)
+    np.savez(path, **altered(arrays))
+    again = spectrum(sphere, 10, cache=cache)
+    np.testing.assert_array_equal(first.eigenvalues, again.eigenvalues)
+    assert "not those that were stored" in caplog.text
+    assert spectrum(sphere, 10, cache=cache).eigenvalues.dtype == float
+
+
+def test_a_wrong_laplacian_is_refused(sphere):
+    with pytest.raises(InputError, match="must be 'cotangent' or 'robust'; got 'wrong'"):
+        spectrum(sphere, 10, kind="wrong")
+
+
 def test_cache_forgets_the_oldest_beyond_its_limit(tmp_path):
     cache = Cache(tmp_path / "c", 5000)
     for i in range(4):

@@ -157,8 +157,7 @@ def shape_features(
         pairs,
         values.astype(np.float32),
         model.embed(values, operator),
-        # an inconsistently oriented mesh has no outside of its own that could be flipped
-        "inside_out_pieces" in repaired.done and "inconsistent_winding" not in repaired.done,
+        repaired.is_flipped,
         repaired.vertex_index,
         repaired.original_index,
         repaired.filling,

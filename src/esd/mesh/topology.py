@@ -9,11 +9,14 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from esd.common import BoolArray, FloatArray, InputError, IntArray
-from esd.mesh.geometry import components, edge_lengths, face_areas, is_referenced
+from esd.mesh.geometry import components, edge_lengths, edges, face_areas, is_referenced
 from esd.mesh.mesh import Mesh
 
 SLIVER = 0.02
 """`quality` below which a face is a sliver: with an angle of about a degree."""
+
+
+_SINGLE = 4 * float(np.finfo(np.float32).eps)  # of a coordinate, that writing it may have moved it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,12 +66,13 @@ def _labels(i: IntArray, j: IntArray, size: int) -> IntArray:
 def seam_partners(mesh: Mesh) -> IntArray:
     """For each vertex on a seam the first that is joined with it there; others themselves, (n,).
 
-    A seam is two open sides between the same two places: the surface is torn along it. Seams whose
-    vertices would join into an edge of more than two faces stay open.
+    A seam is two open sides between the same two places, but for rounding to single precision: the
+    surface is torn along it. Seams whose vertices would join into an edge of more than two faces
+    stay open.
     """
     sides = sides_of(mesh)
     _, place = np.unique(mesh.vertices + 0.0, axis=0, return_inverse=True)  # −0 is 0
-    place = place.reshape(-1)
+    place = _joined_places(mesh, place.reshape(-1), sides.start[sides.count == 1])
     ends = np.stack([sides.start, sides.end], axis=1)[sides.count == 1]
     ends = np.take_along_axis(ends, np.argsort(place[ends], axis=1), axis=1)
     ends = ends[place[ends[:, 0]] != place[ends[:, 1]]]
@@ -94,6 +98,36 @@ def seam_partners(mesh: Mesh) -> IntArray:
             return first
         i, j = i[~undone], j[~undone]
     return np.arange(len(place))
+
+
+def _joined_places(mesh: Mesh, place: IntArray, rim: IntArray) -> IntArray:
+    """Places of the vertices, (n,), those of a rim that rounding may have moved apart as one."""
+    if len(rim) == 0:
+        return place
+    from scipy.spatial import KDTree  # slow to import
+
+    rim = np.unique(rim)
+    points = mesh.vertices[rim]
+    # far from the origin double precision may hold what single precision would have lost
+    apart = _SINGLE * min(float(np.abs(points).max()), float(np.ptp(points / 2, axis=0).max()) * 2)
+    pairs = KDTree(points).query_pairs(apart, p=np.inf, output_type="ndarray")
+    if len(pairs) == 0:
+        return place
+    # vertices of one place are joined anyway; here the places are nodes, and the pairs their edges
+    i, j = place[rim[pairs]].T
+    return _labels(i, j, int(place.max()) + 1)[place]
+
+
+def collapse_partners(mesh: Mesh) -> IntArray:
+    """For each vertex the first that edges of no length join it with; others themselves, (n,)."""
+    short = edges(mesh)
+    a, b = mesh.vertices[short[:, 0]], mesh.vertices[short[:, 1]]
+    i, j = short[(a == b).all(axis=1)].T
+    if len(i) == 0:
+        return np.arange(len(mesh.vertices))
+    label = _labels(i, j, len(mesh.vertices))
+    _, first = np.unique(label, return_index=True)
+    return np.asarray(first[label])
 
 
 def is_collapsed(faces: IntArray) -> BoolArray:

@@ -22,6 +22,8 @@ _log = logging.getLogger(__name__)
 
 _FORMAT = 1  # raised when what is stored under a key changes
 
+_DIGEST = "digest"  # name of the array that holds the digest of the others
+
 Arrays = dict[str, npt.NDArray[Any]]
 
 
@@ -51,6 +53,9 @@ class Cache:
                 if sum(part.file_size for part in archive.zip.infolist()) > path.stat().st_size:
                     raise ValueError("it is compressed, which entries are not")
                 arrays = dict(archive)
+            digest = arrays.pop(_DIGEST, None)
+            if digest is None or str(digest) != _digest(arrays):
+                raise ValueError("its arrays are not those that were stored")
             os.utime(path)
             _log.info("Found in the cache: %s", path)
         except FileNotFoundError:
@@ -69,7 +74,8 @@ class Cache:
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             with whole_file(self._path(key)) as temporary:
-                np.savez(temporary, **arrays)  # type: ignore[arg-type]
+                digest = np.array(_digest(arrays))
+                np.savez(temporary, **arrays, **{_DIGEST: digest})  # type: ignore[arg-type]
             self._trim()
         except (OSError, InputError) as error:
             _log.warning("The cache '%s' cannot be written to: %s", self.folder, error)
@@ -160,3 +166,9 @@ def content_key(what: str, *arrays: npt.NDArray[Any], **parameters: object) -> s
         # a view, not `tobytes`: the descriptors of a training are the largest array there is
         digest.update(np.ascontiguousarray(array).reshape(-1).view(np.uint8).data)
     return f"{what}-{digest.hexdigest()[:40]}"
+
+
+def _digest(arrays: Mapping[str, npt.NDArray[Any]]) -> str:
+    """Digest of the names, types, shapes and content of arrays."""
+    names = sorted(arrays)
+    return content_key("arrays", *(np.asarray(arrays[name]) for name in names), names=names)

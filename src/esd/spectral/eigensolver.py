@@ -326,12 +326,18 @@ def _eigsh(stiffness: SparseMatrix, mass: Mass, k: int, seed: int) -> Eigenpairs
         "ncv": min(n, max(2 * k + 1, 20) if k < 40 else k + k // 2),
         "v0": np.random.default_rng(seed).standard_normal(n),
     }
-    if sparse.issparse(mass):
-        values, vectors = eigsh(stiffness, k, mass, **options)
-    else:
-        scale = sparse.diags_array(1 / np.sqrt(mass))
-        values, vectors = eigsh(sparse.csc_array(scale @ stiffness @ scale), k, **options)
-        vectors = scale @ vectors
+    try:
+        if sparse.issparse(mass):
+            values, vectors = eigsh(stiffness, k, mass, **options)
+        else:
+            scale = sparse.diags_array(1 / np.sqrt(mass))
+            values, vectors = eigsh(sparse.csc_array(scale @ stiffness @ scale), k, **options)
+            vectors = scale @ vectors
+    except RuntimeError as error:  # SuperLU: 'Factor is exactly singular'; ARPACK: not converged
+        raise InputError(
+            "The eigenvalues cannot be computed: the matrices are singular, as those of a mesh "
+            "with many degenerate faces. Repair the mesh first."
+        ) from error
     order = np.argsort(values)
     rows = np.ascontiguousarray(vectors[:, order].T)
     bound = error_bound(stiffness, mass, values[order], rows, scale=-shift, tolerance=np.inf)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse.linalg import splu
 
-from esd.common import FloatArray
+from esd.common import FloatArray, InputError
 from esd.spectral.laplacian import SparseMatrix
 from esd.spectral.pencil import Mass, shifted
 
@@ -49,6 +49,8 @@ def factorise(stiffness: SparseMatrix, mass: Mass, shift: float) -> Factorisatio
     ------
     UnstableError
         If a pivot vanishes or was sought off the diagonal, or the trial solution is inaccurate.
+    InputError
+        If there is not enough memory.
     """
     matrix = shifted(stiffness, mass, shift)
     try:
@@ -60,6 +62,11 @@ def factorise(stiffness: SparseMatrix, mass: Mass, shift: float) -> Factorisatio
         )
     except RuntimeError as error:  # SuperLU: 'Factor is exactly singular'
         raise UnstableError(f"L − σM is singular at σ = {shift:.6g}.") from error
+    except MemoryError as error:
+        raise InputError(
+            f"There is not enough memory to factorise a matrix of {matrix.shape[0]} vertices. "
+            "Use a coarser mesh."
+        ) from error
     pivots = factors.U.diagonal()
     if not np.array_equal(factors.perm_r, factors.perm_c) or not np.isfinite(pivots).all():
         raise UnstableError(f"L − σM was not factorised symmetrically at σ = {shift:.6g}.")

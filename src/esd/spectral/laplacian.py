@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
 from scipy import sparse
@@ -45,8 +45,12 @@ def laplacian(
     Raises
     ------
     InputError
-        If the robust Laplacian cannot be built, as where points are too few or all on a line.
+        If there is no such kind, or the robust Laplacian cannot be built, as where points are too
+        few or all on a line.
     """
+    if kind not in get_args(LaplacianKind):
+        known = "' or '".join(get_args(LaplacianKind))
+        raise InputError(f"`kind` of a Laplacian must be '{known}'; got {kind!r}.")
     if isinstance(shape, PointCloud) or kind == "robust":
         return _robust(shape)
     return stiffness(shape), lumped_mass(shape)

@@ -22,6 +22,8 @@ _log = logging.getLogger(__name__)
 
 _ROUNDING = 1e-12  # relative difference of areas that are the same
 
+_ZERO = 1e-9  # eigenvalue, for unit area, below which it is zero but for rounding
+
 _SOLVER_VERSION = 3  # part of the cache's keys; raised when the eigenpairs may change
 
 
@@ -135,7 +137,8 @@ def spectrum(
     Raises
     ------
     InputError
-        If the mesh has no area, or no more than k vertices or too many components for k.
+        If the mesh has no area, or no more than k vertices or too many components for k, or its
+        spectrum has more zeros than components.
     """
     if isinstance(shape, PointCloud):
         return _cloud_spectrum(shape, k, cache)
@@ -188,6 +191,12 @@ def _solved(
     solution = eigenpairs(matrix[used][:, used], mass[used] / area, k)
     seconds = time.perf_counter() - start
     _log.info("%d eigenpairs of %d vertices were computed in %.1f s.", k, used.sum(), seconds)
+    zeros = int((solution.eigenvalues < _ZERO).sum())
+    if zeros > zero_modes or not np.isfinite(solution.eigenvectors).all():
+        raise InputError(
+            f"The spectrum cannot be used: {zeros} of its eigenvalues are zero, while the mesh has "
+            f"{zero_modes} component(s). Degenerate faces cut vertices off; repair the mesh first."
+        )
     eigenvectors = np.zeros((len(mass), k))
     eigenvectors[used] = solution.eigenvectors
     eigenvalues = solution.eigenvalues.copy()

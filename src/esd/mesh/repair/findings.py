@@ -79,6 +79,14 @@ _KINDS = {
         "each is joined with the one at its place",
         always=True,
     ),
+    "zero_length_edges": _Kind(
+        "edge without length",
+        "edges without length",
+        0.0,
+        "They have no stiffness: vertices are cut off, and the spectrum gets false zeros.",
+        "collapsed",
+        always=True,
+    ),
     "collapsed_faces": _Kind(
         "face that names a vertex twice",
         "faces that name a vertex twice",

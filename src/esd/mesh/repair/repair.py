@@ -24,13 +24,13 @@ from esd.mesh.repair.smoothing import smoothed
 from esd.mesh.topology import (
     SLIVER,
     Sides,
+    collapse_partners,
     compacted,
     cut_apart,
     fan_count,
     is_collapsed,
     is_inward,
     is_repeated,
-    largest_piece,
     patches,
     piece_of_faces,
     quality,
@@ -47,6 +47,7 @@ FILLED_AND_SMOOTHED = frozenset({"holes", "folded_edges"})
 
 _FOLDED = 0.03  # share of the edges; up to half of that is ordinary in toes and ears
 _SPIKE, _FEW_SPIKES = 1.2, 0.01  # of the box around nearly all vertices, and of the faces
+_FLIPPED = 0.9  # share of the area that was flipped, from which the shape was inside out
 _FAR = 1e5  # sizes of the shape away from the origin, beyond which single precision lost its form
 _LARGEST, _SMALLEST = 1e75, 1e-75  # sizes whose fourth power is still a number
 
@@ -71,6 +72,10 @@ class Repaired:
         What was found by the quick diagnosis.
     done
         Kinds of the findings that were repaired.
+    is_flipped
+        Whether the faces that were kept were inside out: nearly all of them were flipped.
+    dropped
+        Share of the area that was dropped with loose pieces.
     """
 
     shape: Mesh | PointCloud
@@ -80,6 +85,8 @@ class Repaired:
     diagnosis: Diagnosis
     done: frozenset[str] = frozenset()
     filling: int = 0
+    is_flipped: bool = False
+    dropped: float = 0.0
 
     def in_a_line(self) -> str:
         """What was found, and what was done about it, in one line; empty if nothing was."""
@@ -164,9 +171,9 @@ def repair(
         What `as_mesh` takes, or points without faces; what was repaired before stays as it is.
     everything
         Whether also what may change a sound part of the shape is done: cutting sheets apart along
-        non-manifold edges, leaving out faces of which a vertex is missing, and what
+            edges of more than two faces, leaving out faces of which a vertex is missing, and what
         `restore` does.
-    all_pieces
+        all_pieces
         Whether all connected pieces are kept, and not only the one with the largest area.
     restore
         Whether small holes are filled and noise is smoothed even if not everything is repaired.
@@ -208,12 +215,19 @@ def repair(
         # of the original places: moving and scaling may have rounded different ones to one
         first = seam_partners(replace(mesh, vertices=np.where(finite[:, None], vertices, 0.0)))
         mesh, index = replace(mesh, faces=first[mesh.faces]), np.where(finite, first, -1)
+    if "zero_length_edges" in done:
+        first = collapse_partners(replace(mesh, vertices=np.where(finite[:, None], vertices, 0.0)))
+        mesh, index = replace(mesh, faces=first[mesh.faces]), np.where(finite, first[index], -1)
     mesh = without_repeats(mesh)
     if everything or "non_manifold_vertices" in done:
         mesh, original = cut_apart(mesh, at_edges=everything)
-    mesh = turned_outward(mesh)
-    if not all_pieces:
-        mesh = largest_piece(mesh)
+    outward = turned_outward(mesh)
+    piece = np.zeros(len(mesh.faces), dtype=np.int64) if all_pieces else piece_of_faces(mesh)
+    area = face_areas(mesh)
+    flipped = (outward.faces != mesh.faces).any(axis=1) & (piece == 0)
+    kept_area = float(area[piece == 0].sum())
+    flipped_share = float(area[flipped].sum()) / max(kept_area, np.finfo(float).tiny)
+    mesh = replace(outward, faces=outward.faces[piece == 0])
     on_rim = np.zeros(0, dtype=np.int64)
     if "holes" in done:
         mesh, on_rim = holes_filled(mesh, shorter_than=SMALL_HOLE)
@@ -222,7 +236,17 @@ def repair(
     if "folded_edges" in done:
         mesh = smoothed(mesh)
     index = np.where(is_referenced(mesh)[index], index, -1)
-    return Repaired(mesh, positions, index, original, diagnosis, frozenset(done), len(on_rim))
+    return Repaired(
+        mesh,
+        positions,
+        index,
+        original,
+        diagnosis,
+        frozenset(done),
+        filling=len(on_rim),
+        is_flipped=flipped_share > _FLIPPED,
+        dropped=1 - kept_area / max(float(area.sum()), np.finfo(float).tiny),
+    )
 
 
 def usable_part(source: MeshLike) -> Mesh:
@@ -352,6 +376,9 @@ def _examine(mesh: Mesh) -> list[Finding]:
     if not surface_area(mesh) > 0:
         return [*findings, Finding("flat_meshes", 1, 1.0)]
     # what follows is that of the surface that is computed on
+    mesh = replace(mesh, faces=first[mesh.faces])
+    first = collapse_partners(mesh)
+    findings += _found("zero_length_edges", first != np.arange(len(used)))
     mesh = without_repeats(replace(mesh, faces=first[mesh.faces]))
     findings += _found("slivers", quality(mesh) < SLIVER)
     sides = sides_of(mesh)
