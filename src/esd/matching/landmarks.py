@@ -162,11 +162,23 @@ def contradicted(
     """Which landmarks, as indices, the others contradict.
 
     Each is left out of a map in turn (many in groups), and is compared with where that map sends
-    it. Of fewer than five landmarks none can be contradicted.
+    it. The one that is farthest astray is dropped before the others are asked again, since a wrong
+    landmark misleads the maps that judge the right ones. Of fewer than five landmarks none can be
+    contradicted.
     """
+    left = np.arange(len(landmarks))
+    while len(left) >= _FEWEST_TO_DOUBT:
+        miss = _misses(source, target, landmarks[left], descriptors)
+        worst = int(miss.argmax())
+        if miss[worst] <= max(_ASTRAY, _TIMES * float(np.median(miss))):
+            break
+        left = np.delete(left, worst)
+    return np.setdiff1d(np.arange(len(landmarks)), left)
+
+
+def _misses(source: Sampled, target: Sampled, landmarks: IntArray, descriptors: Rows) -> FloatArray:
+    """Distances, (l,), from each landmark to where a map by the others sends it, over √area."""
     count = len(landmarks)
-    if count < _FEWEST_TO_DOUBT:
-        return np.zeros(0, dtype=np.int64)
     fold = np.arange(count) % min(count, _FOLDS)
     near = [
         landmark_rows(_mesh(shape), column)
@@ -184,8 +196,7 @@ def contradicted(
         image = nearest(candidate.forward[0][landmarks[out, 0]], candidate.forward[1])[0]
         distance = graph.distances(landmarks[out, 1])
         miss[out] = distance[np.arange(len(out)), image]
-    miss /= np.sqrt(surface_area(_mesh(target)))
-    return np.flatnonzero(miss > max(_ASTRAY, _TIMES * float(np.median(miss))))
+    return np.asarray(miss / np.sqrt(surface_area(_mesh(target))))
 
 
 def _beside(

@@ -20,7 +20,7 @@ from esd.common import InputError, whole_file
 
 _log = logging.getLogger(__name__)
 
-_FORMAT = 1  # raised when what is stored under a key changes
+_FORMAT = 2  # raised when what is stored under a key changes
 
 _DIGEST = "digest"  # name of the array that holds the digest of the others
 
