@@ -364,6 +364,11 @@ CROWDED_EDGES = (
     ),
     np.array([[1, 6, 5], [2, 2, 1], [6, 3, 0], [3, 0, 5], [0, 0, 5], [1, 5, 2], [2, 3, 5]]),
 )
+# a face that is nothing once vertices within rounding are joined
+WITHIN_ROUNDING = (
+    np.array([[0.0, 1e-73, 1e-73], [1e-73, 1e-73, 1e-73], [1e-73, 1, 1e-73]]),
+    np.array([[0, 2, 1]]),
+)
 
 
 @settings(max_examples=150, deadline=None)
@@ -388,6 +393,7 @@ CROWDED_EDGES = (
 )
 @example(FAR_VERTICES)
 @example(CROWDED_EDGES)
+@example(WITHIN_ROUNDING)
 def test_any_arrays_are_diagnosed_and_repaired_or_refused(mesh):
     vertices, _ = mesh
     diagnosis = diagnose(mesh)

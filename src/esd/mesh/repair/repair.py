@@ -171,9 +171,9 @@ def repair(
         What `as_mesh` takes, or points without faces; what was repaired before stays as it is.
     everything
         Whether also what may change a sound part of the shape is done: cutting sheets apart along
-            edges of more than two faces, leaving out faces of which a vertex is missing, and what
+        edges of more than two faces, leaving out faces of which a vertex is missing, and what
         `restore` does.
-        all_pieces
+    all_pieces
         Whether all connected pieces are kept, and not only the one with the largest area.
     restore
         Whether small holes are filled and noise is smoothed even if not everything is repaired.
@@ -379,7 +379,10 @@ def _examine(mesh: Mesh) -> list[Finding]:
     mesh = replace(mesh, faces=first[mesh.faces])
     first = collapse_partners(mesh)
     findings += _found("zero_length_edges", first != np.arange(len(used)))
-    mesh = without_repeats(replace(mesh, faces=first[mesh.faces]))
+    mesh = replace(mesh, faces=first[mesh.faces])
+    if is_collapsed(mesh.faces).all():  # once what rounding separates is joined
+        return [*findings, Finding("flat_meshes", 1, 1.0)]
+    mesh = without_repeats(mesh)
     findings += _found("slivers", quality(mesh) < SLIVER)
     sides = sides_of(mesh)
     crowded = (sides.count > 2) & ~sides.next
