@@ -187,9 +187,32 @@ def test_an_edge_of_three_faces_is_cut():
         np.concatenate([SPHERE.faces, [[a, b, COUNT]]]),
     )
     assert found(fin)["non_manifold_edges"] == 1
-    assert "non_manifold_edges" in found(repair(fin).shape)
-    mesh = repair(fin, everything=True).shape
-    assert "non_manifold_edges" not in found(mesh)
+    for everything in (False, True):
+        repaired = repair(fin, everything=everything)
+        assert "non_manifold_edges" in repaired.done
+        assert "non_manifold_edges" not in found(repaired.shape)
+        assert (repaired.vertex_index[:COUNT] >= 0).all()  # the fin is dropped, not the sphere
+        np.testing.assert_array_equal(repaired.shape.faces, SPHERE.faces)
+
+
+def test_edges_stay_where_cutting_them_would_take_the_shape_apart():
+    # three sheets of equal size along a common edge: none of them is the shape
+    flat = grid(20, 20)
+    shared = np.flatnonzero(flat.vertices[:, 0] == flat.vertices[:, 0].min())
+    vertices, faces = [flat.vertices], [flat.faces]
+    for i, angle in enumerate((2.0, 4.0)):
+        x, y, _ = (flat.vertices - flat.vertices.min(axis=0)).T
+        moved = np.stack([x * np.cos(angle), y, x * np.sin(angle)], axis=1)
+        index = np.arange(400) + 400 * (i + 1)
+        index[shared] = shared
+        vertices.append(moved + flat.vertices.min(axis=0))
+        faces.append(index[flat.faces])
+    fan = (np.concatenate(vertices), np.concatenate(faces))
+    assert found(fan)["non_manifold_edges"] == 19
+    repaired = repair(fan)
+    assert "non_manifold_edges" not in repaired.done
+    assert len(repaired.shape.faces) == 3 * len(flat.faces)
+    assert len(repair(fan, everything=True).shape.faces) == len(flat.faces)
 
 
 def test_small_holes_are_filled_and_large_ones_are_not():

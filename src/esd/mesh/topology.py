@@ -184,7 +184,7 @@ def fan_count(mesh: Mesh, sides: Sides) -> IntArray:
 def cut_apart(mesh: Mesh, *, at_edges: bool) -> tuple[Mesh, IntArray]:
     """The mesh with a vertex for each fan of faces, and the original vertex of each vertex.
 
-    The fan of the largest area keeps the vertex.
+    The fan of the piece of the largest area keeps the vertex; within a piece, the largest fan.
 
     Parameters
     ----------
@@ -198,7 +198,11 @@ def cut_apart(mesh: Mesh, *, at_edges: bool) -> tuple[Mesh, IntArray]:
     area = np.bincount(label, weights=np.repeat(face_areas(mesh), 3))
     _, first = np.unique(label, return_index=True)
     vertex = corner[first]
-    order = np.lexsort((-area, vertex))  # fans by vertex, the largest first
+    # fans are the vertices of the cut mesh: two are of one piece where a face has both
+    fan = label.reshape(-1, 3)
+    piece = _labels(fan[:, [0, 1]].ravel(), fan[:, [1, 2]].ravel(), len(first))
+    whole_area = np.bincount(piece, weights=area)[piece]
+    order = np.lexsort((-area, -whole_area, vertex))  # fans by vertex, the largest first
     leads = np.ones(len(order), dtype=bool)
     leads[1:] = vertex[order[1:]] != vertex[order[:-1]]
     row = np.empty(len(order), dtype=np.int64)

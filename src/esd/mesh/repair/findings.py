@@ -124,6 +124,7 @@ _KINDS = {
         "Heat passes between sheets that only touch: a short cut, over which the descriptors of "
         "both change.",
         "the sheets are split there",
+        always=True,
     ),
     "non_manifold_vertices": _Kind(
         "non-manifold vertex",

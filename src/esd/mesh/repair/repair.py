@@ -31,6 +31,7 @@ from esd.mesh.topology import (
     is_collapsed,
     is_inward,
     is_repeated,
+    largest_piece,
     patches,
     piece_of_faces,
     quality,
@@ -47,6 +48,7 @@ FILLED_AND_SMOOTHED = frozenset({"holes", "folded_edges"})
 
 _FOLDED = 0.03  # share of the edges; up to half of that is ordinary in toes and ears
 _SPIKE, _FEW_SPIKES = 1.2, 0.01  # of the box around nearly all vertices, and of the faces
+_WHOLE = 0.9  # share of the area that must hold together for edges to be cut apart unasked
 _FLIPPED = 0.9  # share of the area that was flipped, from which the shape was inside out
 _FAR = 1e5  # sizes of the shape away from the origin, beyond which single precision lost its form
 _LARGEST, _SMALLEST = 1e75, 1e-75  # sizes whose fourth power is still a number
@@ -171,8 +173,8 @@ def repair(
         What `as_mesh` takes, or points without faces; what was repaired before stays as it is.
     everything
         Whether also what may change a sound part of the shape is done: cutting sheets apart along
-        edges of more than two faces, leaving out faces of which a vertex is missing, and what
-        `restore` does.
+        edges of more than two faces even where the shape then falls apart, leaving out faces of
+        which a vertex is missing, and what `restore` does.
     all_pieces
         Whether all connected pieces are kept, and not only the one with the largest area.
     restore
@@ -219,8 +221,16 @@ def repair(
         first = collapse_partners(replace(mesh, vertices=np.where(finite[:, None], vertices, 0.0)))
         mesh, index = replace(mesh, faces=first[mesh.faces]), np.where(finite, first[index], -1)
     mesh = without_repeats(mesh)
-    if everything or "non_manifold_vertices" in done:
-        mesh, original = cut_apart(mesh, at_edges=everything)
+    at_edges = everything
+    if not everything and "non_manifold_edges" in done:
+        before, after = (
+            surface_area(largest_piece(cut_apart(mesh, at_edges=cut)[0])) for cut in (False, True)
+        )
+        at_edges = after >= _WHOLE * before
+        if not at_edges:
+            done.discard("non_manifold_edges")
+    if everything or done & {"non_manifold_vertices", "non_manifold_edges"}:
+        mesh, original = cut_apart(mesh, at_edges=at_edges)
     outward = turned_outward(mesh)
     piece = np.zeros(len(mesh.faces), dtype=np.int64) if all_pieces else piece_of_faces(mesh)
     area = face_areas(mesh)
