@@ -196,31 +196,6 @@ def match_features(
     mirror: Mirror = "auto",
 ) -> Correspondence:
     """As `match`, of the features of a source and a target by the model."""
-    found = match_repaired(
-        source,
-        target,
-        model=model,
-        refine=refine,
-        one_to_one=one_to_one,
-        candidates=candidates,
-        landmarks=landmarks,
-        mirror=mirror,
-    )
-    return _for_original_vertices(found, source, target)
-
-
-def match_repaired(
-    source: Features,
-    target: Features,
-    *,
-    model: Model,
-    refine: bool | None = None,
-    one_to_one: bool = False,
-    candidates: Sequence[str] | None = None,
-    landmarks: IntArray | None = None,
-    mirror: Mirror = "auto",
-) -> Correspondence:
-    """As `match_features`, between the vertices of the repaired shapes."""
     refine = model.is_oriented if refine is None else refine
     is_mesh = isinstance(source.shape, Mesh) and isinstance(target.shape, Mesh)
     costs: dict[str, float] = {}
@@ -231,11 +206,11 @@ def match_repaired(
         used = np.zeros(0, dtype=np.int64)
         if landmarks is not None:
             landmarks, used = _located(landmarks, source, target)
-        choice, is_mirrored = _mirror_chosen(
+        choice, mirrored = _mirror_chosen(
             source, target, model=model, names=candidates, landmarks=landmarks, mirror=mirror
         )
-        if is_mirrored:
-            source = reflected(source, model=model)
+        if mirrored is not None:
+            source, is_mirrored = mirrored, True
         expected = accuracy(choice.evidence)
         costs, contradicted = choice.costs, tuple(used[choice.contradicted].tolist())
         maps = _full_maps(source, target, choice.candidate, refine=refine, device=model.device)
@@ -267,7 +242,7 @@ def match_repaired(
         ]
         image = precise_map(*rows, copies[1].mesh.faces, found.target_index)
         found = carried_to_dense(found, image, *copies)
-    return found
+    return _for_original_vertices(found, source, target)
 
 
 def _located(landmarks: IntArray, source: Features, target: Features) -> tuple[IntArray, IntArray]:
@@ -290,18 +265,19 @@ def _mirror_chosen(
     names: Sequence[str] | None,
     landmarks: IntArray | None,
     mirror: Mirror,
-) -> tuple[Choice, bool]:
-    """The best candidate for the source or for its mirror image, and whether it is for that."""
+) -> tuple[Choice, Features | None]:
+    """The best candidate for the source or its mirror image, and that image where it is for it."""
     plain = None
     if mirror != "yes":
         plain = chosen(source, target, names=names, landmarks=landmarks)
         sure = accuracy(plain.evidence) >= _SURE
         if mirror == "no" or sure or model.patches is not None:
-            return plain, False
-    other = chosen(reflected(source, model=model), target, names=names, landmarks=landmarks)
+            return plain, None
+    image = reflected(source, model=model)
+    other = chosen(image, target, names=names, landmarks=landmarks)
     if plain is not None and min(other.costs.values()) > min(plain.costs.values()) - _CLEARLY:
-        return plain, False
-    return other, True
+        return plain, None
+    return other, image
 
 
 @dataclass(frozen=True, slots=True, eq=False)
