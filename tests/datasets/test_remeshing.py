@@ -29,10 +29,25 @@ def test_copies_have_other_triangles_and_keep_their_correspondence():
 
 
 def test_shapes_that_cannot_be_remeshed_are_copied_as_they_are(caplog):
-    mesh = icosphere(2)
-    a, b = mesh.faces[0, :2]
-    far = mesh.vertices[:, 2].argmin()
-    crowded = Mesh(mesh.vertices, np.concatenate([mesh.faces, [[a, b, far]]]))
-    made = with_remeshings(collection_of(crowded), 1, seed=0)
-    assert len(made.shapes[1].mesh().faces) == len(crowded.faces)
+    # a band with half a twist has no outside
+    around, across = np.meshgrid(np.arange(40), np.linspace(-0.3, 0.3, 9), indexing="ij")
+    angle = 2 * np.pi * around.ravel() / 40
+    radius = 1 + across.ravel() * np.cos(angle / 2)
+    height = across.ravel() * np.sin(angle / 2)
+    vertices = np.stack([radius * np.cos(angle), radius * np.sin(angle), height], axis=1)
+    row, column = (index.ravel() for index in np.meshgrid(np.arange(40), np.arange(8)))
+    here, beside = 9 * row + column, 9 * row + column + 1
+    # behind the last row comes the first, from its other end
+    last = row == 39
+    there = np.where(last, 8 - column, here + 9)
+    across_there = np.where(last, 7 - column, beside + 9)
+    faces = np.concatenate(
+        [
+            np.stack([here, there, beside], axis=1),
+            np.stack([beside, there, across_there], axis=1),
+        ]
+    )
+    band = Mesh(vertices, faces)
+    made = with_remeshings(collection_of(band), 1, seed=0)
+    assert len(made.shapes[1].mesh().faces) == len(band.faces)
     assert "keeps its triangles" in caplog.text
