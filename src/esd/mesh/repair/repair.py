@@ -138,19 +138,26 @@ def diagnose(source: MeshLike, *, thorough: bool = True) -> Diagnosis:
         If there are no vertices and faces in `source`.
     """
     vertices, faces = _loose_arrays(source)
-    counts = len(vertices), len(faces)
-    if counts[1] == 0:
+    if len(faces) == 0:
         findings, patient = _examine_points(vertices)
-        return Diagnosis(*counts, _size(patient), tuple(findings))
+        return Diagnosis(len(vertices), 0, _size(patient), tuple(findings))
+    return _diagnosed(vertices, faces, thorough=thorough)[0]
+
+
+def _diagnosed(
+    vertices: npt.NDArray[np.float64], faces: IntArray, *, thorough: bool
+) -> tuple[Diagnosis, Mesh | None]:
+    """The diagnosis of a mesh, and what can be computed with, see `_sound`."""
+    counts = len(vertices), len(faces)
     findings, mesh = _sound(vertices, faces)
     if mesh is None:
-        return Diagnosis(*counts, 0.0, tuple(findings))
+        return Diagnosis(*counts, 0.0, tuple(findings)), None
     findings += _examine(mesh)
     if thorough:
         findings += _self_intersections(mesh)
     scale = _scale(vertices[_is_finite(vertices)])
     size = _size(mesh.vertices[is_referenced(mesh)]) * scale
-    return Diagnosis(*counts, size, tuple(findings))
+    return Diagnosis(*counts, size, tuple(findings)), mesh
 
 
 def repair(
@@ -198,8 +205,7 @@ def repair(
             Mesh(np.where(finite[:, None], vertices, 0.0), faces)
         except InputError as error:  # a damaged list of faces
             raise InputError(f"{named}{error}") from error
-    diagnosis = diagnose((vertices, faces), thorough=False)
-    _, mesh = _sound(vertices, faces)
+    diagnosis, mesh = _diagnosed(vertices, faces, thorough=False)
     if mesh is None or not surface_area(mesh) > 0:
         raise InputError(f"{named}Nothing of the mesh can be used: {diagnosis.in_a_line()}.")
     done = {f.kind for f in diagnosis.findings if f.always_repaired or everything}
@@ -223,10 +229,7 @@ def repair(
     mesh = without_repeats(mesh)
     at_edges = everything
     if not everything and "non_manifold_edges" in done:
-        before, after = (
-            surface_area(largest_piece(cut_apart(mesh, at_edges=cut)[0])) for cut in (False, True)
-        )
-        at_edges = after >= _WHOLE * before
+        at_edges = _holds_together(mesh)
         if not at_edges:
             done.discard("non_manifold_edges")
     if everything or done & {"non_manifold_vertices", "non_manifold_edges"}:
@@ -257,6 +260,14 @@ def repair(
         is_flipped=flipped_share > _FLIPPED,
         dropped=1 - kept_area / max(float(area.sum()), np.finfo(float).tiny),
     )
+
+
+def _holds_together(mesh: Mesh) -> bool:
+    """Whether cutting at edges of more than two faces leaves nearly all of the largest piece."""
+    before, after = (
+        surface_area(largest_piece(cut_apart(mesh, at_edges=cut)[0])) for cut in (False, True)
+    )
+    return after >= _WHOLE * before
 
 
 def usable_part(source: MeshLike) -> Mesh:
