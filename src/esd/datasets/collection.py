@@ -175,6 +175,31 @@ class Collection:
         return tuple(different or every)
 
 
+def correspondences(shape: Shape, vertex_count: int) -> list[IntArray]:
+    """The correspondence of a shape, and that of its mirror image where it is known.
+
+    Parameters
+    ----------
+    vertex_count
+        Of its mesh.
+
+    Raises
+    ------
+    InputError
+        If a correspondence names a vertex that the mesh lacks.
+    """
+    truths = [shape.correspondence()]
+    if shape.symmetric is not None:
+        truths.append(shape.symmetric())
+    for truth in truths:
+        if truth.max() >= vertex_count:
+            raise InputError(
+                f"The correspondence of '{shape.name}' names vertex {truth.max()} (from 0); "
+                f"its mesh has {vertex_count} vertices."
+            )
+    return truths
+
+
 def repaired_shape(shape: Shape) -> tuple[Repaired, IntArray, IntArray | None]:
     """A shape as it is matched, with all its pieces, and the vertices of the repaired mesh.
 
@@ -186,15 +211,8 @@ def repaired_shape(shape: Shape) -> tuple[Repaired, IntArray, IntArray | None]:
     InputError
         If a correspondence names a vertex that the mesh lacks, or nothing of it can be used.
     """
-    mesh, truths = shape.mesh(), [shape.correspondence()]
-    if shape.symmetric is not None:
-        truths.append(shape.symmetric())
-    for truth in truths:
-        if truth.max() >= len(mesh.vertices):
-            raise InputError(
-                f"The correspondence of '{shape.name}' names vertex {truth.max()} (from 0); "
-                f"its mesh has {len(mesh.vertices)} vertices."
-            )
+    mesh = shape.mesh()
+    truths = correspondences(shape, len(mesh.vertices))
     try:
         repaired = repair(mesh, all_pieces=True, restore=True)
     except InputError as error:

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import rankdata
 
 from esd.common import BoolArray, FloatArray, InputError, IntArray
-from esd.datasets.collection import Shape
+from esd.datasets.collection import Shape, correspondences
 from esd.evaluation.errors import NEAR, Truth, area_under_curve, errors_on_target
 from esd.learning.model import Model
 from esd.matching.batch import load_features, save_features
@@ -325,15 +325,7 @@ def _save(
     """Compute what `_load` reads."""
     shape, place = job
     mesh = shape.mesh()
-    truths = [shape.correspondence()]
-    if shape.symmetric is not None:
-        truths.append(shape.symmetric())
-    for truth in truths:
-        if truth.max() >= len(mesh.vertices):
-            raise InputError(
-                f"The correspondence of '{shape.name}' names vertex {truth.max()} (from 0); "
-                f"its mesh has {len(mesh.vertices)} vertices."
-            )
+    truths = correspondences(shape, len(mesh.vertices))
     features = working_features(prepared(mesh), model=model, refine=refine, cache=cache)
     measured = repair(mesh, all_pieces=True)
     assert isinstance(measured.shape, Mesh)
