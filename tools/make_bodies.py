@@ -35,7 +35,6 @@ from esd.common import whole_file
 from esd.datasets.bodies import PARTS
 from esd.datasets.body_pack import Pack, posed, read_pack, sampled, skinned, write_pack
 from esd.mesh.geometry import (
-    boundary_edges,
     components,
     edge_lengths,
     edges,
@@ -43,6 +42,7 @@ from esd.mesh.geometry import (
     surface_area,
 )
 from esd.mesh.mesh import Mesh
+from esd.mesh.topology import boundary_edges
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt

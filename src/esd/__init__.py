@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from esd.mesh.io.meshes import write_mesh as write_mesh
     from esd.mesh.mesh import Mesh as Mesh
     from esd.mesh.mesh import PointCloud as PointCloud
-    from esd.mesh.repair.repair import diagnose as diagnose
+    from esd.mesh.repair.diagnose import diagnose as diagnose
     from esd.mesh.repair.repair import repair as repair
     from esd.parallel import Workers as Workers
     from esd.spectral.spectrum import Spectrum as Spectrum
@@ -57,7 +57,7 @@ _HOMES = {
     "Spectrum": "esd.spectral.spectrum",
     "Workers": "esd.parallel",
     "as_mesh": "esd.mesh.convert",
-    "diagnose": "esd.mesh.repair.repair",
+    "diagnose": "esd.mesh.repair.diagnose",
     "evaluate": "esd.evaluation.protocol",
     "geodesic_distances": "esd.mesh.geodesics",
     "gps": "esd.descriptors.gps",

@@ -18,7 +18,6 @@ from esd.datasets.collection import Collection, Shape
 from esd.datasets.export import export_folder, labels_on
 from esd.datasets.folder import folder_collection, read_vts
 from esd.mesh.geometry import (
-    boundary_edges,
     components,
     edges,
     face_areas,
@@ -27,6 +26,7 @@ from esd.mesh.geometry import (
 )
 from esd.mesh.mesh import Mesh
 from esd.mesh.shapes import icosphere
+from esd.mesh.topology import boundary_edges
 from esd.parallel import THIS_PROCESS
 
 

@@ -19,7 +19,7 @@ from esd.datasets.parts import (
 )
 from esd.mesh.geometry import is_referenced, surface_area
 from esd.mesh.mesh import Mesh
-from esd.mesh.repair.repair import diagnose
+from esd.mesh.repair.diagnose import diagnose
 from esd.mesh.shapes import icosphere
 
 SPHERE = icosphere(4)

@@ -8,7 +8,6 @@ from hypothesis.extra.numpy import arrays
 
 from esd.common import InputError
 from esd.mesh.geometry import (
-    boundary_edges,
     components,
     is_consistently_oriented,
     is_referenced,
@@ -16,8 +15,10 @@ from esd.mesh.geometry import (
     surface_area,
 )
 from esd.mesh.mesh import Mesh, PointCloud
-from esd.mesh.repair.repair import diagnose, repair
+from esd.mesh.repair.diagnose import diagnose
+from esd.mesh.repair.repair import repair
 from esd.mesh.shapes import grid, icosphere, torus
+from esd.mesh.topology import boundary_edges
 from esd.spectral.spectrum import spectrum
 
 SPHERE = icosphere(3)

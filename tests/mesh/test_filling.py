@@ -1,9 +1,10 @@
 import numpy as np
 
-from esd.mesh.geometry import boundary_edges, is_consistently_oriented, signed_volume
+from esd.mesh.geometry import is_consistently_oriented, signed_volume
 from esd.mesh.mesh import Mesh
 from esd.mesh.repair.filling import holes_filled
 from esd.mesh.shapes import grid, icosphere
+from esd.mesh.topology import boundary_edges
 
 SPHERE = icosphere(4)
 

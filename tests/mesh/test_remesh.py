@@ -4,7 +4,6 @@ from scipy.spatial import cKDTree
 
 from esd.common import InputError
 from esd.mesh.geometry import (
-    boundary_edges,
     components,
     edge_lengths,
     edges,
@@ -23,6 +22,7 @@ from esd.mesh.remesh.remesh import (
     remesh,
 )
 from esd.mesh.shapes import grid, icosphere, torus
+from esd.mesh.topology import boundary_edges
 
 
 def euler_characteristic(mesh):

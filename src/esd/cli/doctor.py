@@ -36,7 +36,7 @@ def doctor(
     from esd.mesh.convert import as_arrays
     from esd.mesh.io.meshes import check_mesh_path, write_mesh
     from esd.mesh.mesh import Mesh
-    from esd.mesh.repair.repair import can_find_self_intersections, diagnose
+    from esd.mesh.repair.diagnose import can_find_self_intersections, diagnose
     from esd.mesh.repair.repair import repair as repaired
 
     if repair is not None:

@@ -20,7 +20,7 @@ from esd.mesh.geometry import (
     vertex_normals,
 )
 from esd.mesh.mesh import Mesh
-from esd.mesh.topology import compacted, is_collapsed, is_repeated, sides_of
+from esd.mesh.topology import compacted, edge_table, is_collapsed, is_repeated
 
 _HOLES = 10
 _APART = 0.3  # least distance along the surface of what is welded, in units of √area
@@ -88,18 +88,18 @@ def edge_flips(mesh: Mesh, level: float, *, seed: int = 0) -> Perturbed:
         If the level is not from 0 to below 1.
     """
     check_level(level, 1)
-    sides = sides_of(mesh)
-    here = np.flatnonzero(sides.next & (sides.count == 2))
-    here = here[sides.start[here] == sides.end[here + 1]]  # only where both faces wind alike
+    table = edge_table(mesh.faces, len(mesh.vertices))
+    inner = table.inner_sides()
+    inner = inner[~table.are_alike(inner)]  # only where the faces are consistently oriented
     known = {tuple(edge) for edge in edges(mesh).tolist()}
     faces = mesh.faces.copy()
     touched = np.zeros(len(faces), dtype=bool)
     wanted = level * len(faces)
-    for side in np.random.default_rng(seed).permutation(here):
+    for side, other in np.random.default_rng(seed).permutation(inner).tolist():
         if touched.sum() + 2 > wanted:
             break
-        f, g = sides.face[side], sides.face[side + 1]
-        a, b = sides.start[side], sides.end[side]
+        f, g = side // 3, other // 3
+        a, b = table.start[side], table.end[side]
         c, d = faces[f].sum() - a - b, faces[g].sum() - a - b
         turned = (min(c, d), max(c, d))
         if touched[f] or touched[g] or c == d or turned in known:

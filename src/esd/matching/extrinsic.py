@@ -11,8 +11,9 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from esd.common import BoolArray, FloatArray, IntArray
-from esd.mesh.geometry import boundary_edges, vertex_areas, vertex_normals
+from esd.mesh.geometry import vertex_areas, vertex_normals
 from esd.mesh.mesh import Mesh
+from esd.mesh.topology import boundary_edges
 
 _NORMAL = 0.2  # weight of unit normals beside positions of unit root mean square radius
 _COARSE, _SAMPLES = 300, 1500  # vertices that starts are compared by, and that alignment takes

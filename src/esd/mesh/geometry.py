@@ -102,15 +102,6 @@ def signed_volume(mesh: Mesh) -> float:
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
 
 
-def boundary_edges(mesh: Mesh) -> IntArray:
-    """Directed edges that only one face has, (b, 2)."""
-    sides = mesh.faces[:, [[1, 2], [2, 0], [0, 1]]].reshape(-1, 2)
-    _, index, count = np.unique(
-        np.sort(sides, axis=1), axis=0, return_index=True, return_counts=True
-    )
-    return np.asarray(sides[index[count == 1]])
-
-
 def is_consistently_oriented(mesh: Mesh) -> bool:
     """Whether neighbouring faces wind the same way: no directed edge occurs twice."""
     start, end = mesh.faces[:, [1, 2, 0]].ravel(), mesh.faces[:, [2, 0, 1]].ravel()

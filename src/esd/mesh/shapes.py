@@ -6,6 +6,7 @@ import numpy as np
 
 from esd.common import FloatArray, IntArray
 from esd.mesh.mesh import Mesh
+from esd.mesh.topology import edge_table
 
 
 def icosphere(subdivisions: int, *, radius: float = 1.0) -> Mesh:
@@ -38,13 +39,12 @@ def subdivide(mesh: Mesh) -> Mesh:
 
     The first vertices are those of `mesh`, in their order; one for each edge follows.
     """
-    sides = np.sort(mesh.faces[:, [[1, 2], [2, 0], [0, 1]]].reshape(-1, 2), axis=1)
-    pairs, index = np.unique(sides, axis=0, return_inverse=True)
-    x, y, z = (index.reshape(-1, 3) + len(mesh.vertices)).T
+    table = edge_table(mesh.faces, len(mesh.vertices))
+    x, y, z = (table.of_side + len(mesh.vertices)).T  # the midpoints opposite to a, b, c
     a, b, c = mesh.faces.T
     quarters = [(a, z, y), (z, b, x), (y, x, c), (x, y, z)]
     faces = np.concatenate([np.stack(quarter, axis=1) for quarter in quarters])
-    return Mesh(np.concatenate([mesh.vertices, mesh.vertices[pairs].mean(axis=1)]), faces)
+    return Mesh(np.concatenate([mesh.vertices, mesh.vertices[table.ends].mean(axis=1)]), faces)
 
 
 def torus(around: int, across: int, *, radius: float = 1.0, tube: float = 0.4) -> Mesh:

@@ -1,4 +1,4 @@
-"""How the faces of a mesh hang together, and meshes that hang together differently."""
+"""How the faces of a mesh hang together: edges, fans, orientation, rims, connected pieces."""
 
 from __future__ import annotations
 
@@ -9,125 +9,88 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from esd.common import BoolArray, FloatArray, InputError, IntArray
-from esd.mesh.geometry import components, edge_lengths, edges, face_areas, is_referenced
+from esd.mesh.geometry import components, edge_lengths, face_areas, is_referenced
 from esd.mesh.mesh import Mesh
 
 SLIVER = 0.02
 """`quality` below which a face is a sliver: with an angle of about a degree."""
 
 
-_SINGLE = 4 * float(np.finfo(np.float32).eps)  # of a coordinate, that writing it may have moved it
-
-
 @dataclass(frozen=True, slots=True, eq=False)
-class Sides:
-    """The sides of a mesh's faces, (3 m,), sorted so that those of one edge are adjacent.
+class EdgeTable:
+    """The e edges of m faces, and which sides of the faces lie at which edge.
 
-    `low` and `high` number the corners (3 · face + corner) at the edge's smaller and larger vertex;
-    `count` is the number of faces of the side's edge, and `next` says that the side after it is of
-    the same edge.
+    Side 3 f + c is that of face f opposite to its corner c: it runs from the vertex of corner c + 1
+    to that of corner c + 2, modulo 3.
+
+    Parameters
+    ----------
+    ends : (e, 2)
+        Vertices of the edges, the smaller first; sorted.
+    count : (e,)
+        Number of faces at each edge: one at a boundary, more than two where it is non-manifold.
+    of_side : (m, 3)
+        The edge of each side.
+    start, end : (3 m,)
+        Vertices from and to which each side runs.
+    by_edge : (3 m,)
+        Sides in the order of their edges.
     """
 
-    face: IntArray
+    ends: IntArray
+    count: IntArray
+    of_side: IntArray
     start: IntArray
     end: IntArray
-    low: IntArray
-    high: IntArray
-    count: IntArray
-    next: BoolArray
+    by_edge: IntArray
+
+    def open_sides(self) -> IntArray:
+        """Sides at edges of one face, (b,), in the order of the edges."""
+        return self.by_edge[(np.cumsum(self.count) - 1)[self.count == 1]]
+
+    def inner_sides(self) -> IntArray:
+        """The two sides at each edge of exactly two faces, (i, 2), in the order of the edges."""
+        first = (np.cumsum(self.count) - 2)[self.count == 2]
+        return self.by_edge[np.stack([first, first + 1], axis=1)]
+
+    def adjacent_sides(self) -> IntArray:
+        """Pairs of sides at one edge, (a, 2), that link all of its sides: one pair fewer."""
+        last = np.zeros(len(self.by_edge), dtype=bool)
+        last[np.cumsum(self.count) - 1] = True
+        first = np.flatnonzero(~last)
+        return self.by_edge[np.stack([first, first + 1], axis=1)]
+
+    def are_alike(self, sides: IntArray) -> BoolArray:
+        """Whether pairs of sides at one edge, (k, 2), run the same way: their faces disagree."""
+        return np.asarray(self.start[sides[:, 0]] == self.start[sides[:, 1]])
 
 
-def sides_of(mesh: Mesh) -> Sides:
-    """The sides of a mesh's faces."""
-    start, end = mesh.faces[:, [1, 2, 0]].ravel(), mesh.faces[:, [2, 0, 1]].ravel()
-    corner = np.arange(3 * len(mesh.faces)).reshape(-1, 3)
-    at_start, at_end = corner[:, [1, 2, 0]].ravel(), corner[:, [2, 0, 1]].ravel()
-    rising = start < end
-    key = np.minimum(start, end) * len(mesh.vertices) + np.maximum(start, end)
-    order = np.argsort(key, kind="stable")
-    _, inverse, count = np.unique(key[order], return_inverse=True, return_counts=True)
-    return Sides(
-        face=order // 3,
-        start=start[order],
-        end=end[order],
-        low=np.where(rising, at_start, at_end)[order],
-        high=np.where(rising, at_end, at_start)[order],
-        count=count[inverse],
-        next=np.append(inverse[1:] == inverse[:-1], False),
-    )
+def edge_table(faces: IntArray, vertex_count: int) -> EdgeTable:
+    """The edges of some faces, (m, 3), between a number of vertices."""
+    start, end = faces[:, [1, 2, 0]].ravel(), faces[:, [2, 0, 1]].ravel()
+    # one number an edge, which sorts much faster than pairs
+    key = np.minimum(start, end) * vertex_count + np.maximum(start, end)
+    by_edge = np.argsort(key, kind="stable")
+    key = key[by_edge]
+    first = np.flatnonzero(np.append(True, key[1:] != key[:-1])[: len(key)])
+    count = np.diff(first, append=len(key))
+    of_side = np.empty(len(key), dtype=np.int64)
+    of_side[by_edge] = np.repeat(np.arange(len(first)), count)
+    ends = np.stack(np.divmod(key[first], max(vertex_count, 1)), axis=1)
+    return EdgeTable(ends, count, of_side.reshape(-1, 3), start, end, by_edge)
 
 
-def _labels(i: IntArray, j: IntArray, size: int) -> IntArray:
+def boundary_edges(mesh: Mesh) -> IntArray:
+    """Directed edges that only one face has, (b, 2)."""
+    table = edge_table(mesh.faces, len(mesh.vertices))
+    sides = table.open_sides()
+    return np.stack([table.start[sides], table.end[sides]], axis=1)
+
+
+def labels(i: IntArray, j: IntArray, size: int) -> IntArray:
     """Connected component of each of `size` nodes of the graph with edges (i, j)."""
     graph = sparse.coo_array((np.ones(len(i), dtype=bool), (i, j)), shape=(size, size))
     return np.asarray(csgraph.connected_components(graph, directed=False)[1], dtype=np.int64)
-
-
-def seam_partners(mesh: Mesh) -> IntArray:
-    """For each vertex on a seam the first that is joined with it there; others themselves, (n,).
-
-    A seam is two open sides between the same two places, but for rounding to single precision: the
-    surface is torn along it. Seams whose vertices would join into an edge of more than two faces
-    stay open.
-    """
-    sides = sides_of(mesh)
-    _, place = np.unique(mesh.vertices + 0.0, axis=0, return_inverse=True)  # −0 is 0
-    place = _joined_places(mesh, place.reshape(-1), sides.start[sides.count == 1])
-    ends = np.stack([sides.start, sides.end], axis=1)[sides.count == 1]
-    ends = np.take_along_axis(ends, np.argsort(place[ends], axis=1), axis=1)
-    ends = ends[place[ends[:, 0]] != place[ends[:, 1]]]
-    key = place[ends] @ np.array([len(place), 1])
-    order = np.argsort(key, kind="stable")
-    _, first, count = np.unique(key[order], return_index=True, return_counts=True)
-    i, j = (ends[order[first[count == 2] + k]].ravel() for k in (0, 1))
-    while len(i):
-        label = _labels(i, j, len(place))
-        _, representative = np.unique(label, return_index=True)
-        first = representative[label]
-        faces = first[mesh.faces]
-        faces = faces[~is_collapsed(faces) & ~is_repeated(faces)]
-        if len(faces) == 0:
-            return first
-        joined = sides_of(replace(mesh, faces=faces))
-        crowded = np.zeros(len(place), dtype=bool)
-        for end in (joined.start, joined.end):
-            crowded[end[joined.count > 2]] = True
-        # only joins can make edges crowded that were not; those of their vertices are undone
-        undone = crowded[first[i]] | crowded[first[j]]
-        if not undone.any():
-            return first
-        i, j = i[~undone], j[~undone]
-    return np.arange(len(place))
-
-
-def _joined_places(mesh: Mesh, place: IntArray, rim: IntArray) -> IntArray:
-    """Places of the vertices, (n,), those of a rim that rounding may have moved apart as one."""
-    if len(rim) == 0:
-        return place
-    from scipy.spatial import KDTree  # slow to import
-
-    rim = np.unique(rim)
-    points = mesh.vertices[rim]
-    # far from the origin double precision may hold what single precision would have lost
-    apart = _SINGLE * min(float(np.abs(points).max()), float(np.ptp(points / 2, axis=0).max()) * 2)
-    pairs = KDTree(points).query_pairs(apart, p=np.inf, output_type="ndarray")
-    if len(pairs) == 0:
-        return place
-    # vertices of one place are joined anyway; here the places are nodes, and the pairs their edges
-    i, j = place[rim[pairs]].T
-    return _labels(i, j, int(place.max()) + 1)[place]
-
-
-def collapse_partners(mesh: Mesh) -> IntArray:
-    """For each vertex the first that edges of no length join it with; others themselves, (n,)."""
-    short = edges(mesh)
-    a, b = mesh.vertices[short[:, 0]], mesh.vertices[short[:, 1]]
-    i, j = short[(a == b).all(axis=1)].T
-    if len(i) == 0:
-        return np.arange(len(mesh.vertices))
-    label = _labels(i, j, len(mesh.vertices))
-    _, first = np.unique(label, return_index=True)
-    return np.asarray(first[label])
 
 
 def is_collapsed(faces: IntArray) -> BoolArray:
@@ -166,54 +129,36 @@ def without_repeats(mesh: Mesh) -> Mesh:
     return replace(mesh, faces=mesh.faces[keep])
 
 
-def _fan_labels(mesh: Mesh, sides: Sides, *, over: BoolArray) -> IntArray:
-    """Fan of each corner, (3 m,): corners of faces that share an edge, `over` those sides."""
-    here = np.flatnonzero(over)
-    i = np.concatenate([sides.low[here], sides.high[here]])
-    j = np.concatenate([sides.low[here + 1], sides.high[here + 1]])
-    return _labels(i, j, 3 * len(mesh.faces))
-
-
-def fan_count(mesh: Mesh, sides: Sides) -> IntArray:
-    """Number of fans of faces at each vertex, (n,); a sound surface has one."""
-    label = _fan_labels(mesh, sides, over=sides.next)
-    _, first = np.unique(label, return_index=True)
-    return np.bincount(mesh.faces.ravel()[first], minlength=len(mesh.vertices))
-
-
-def cut_apart(mesh: Mesh, *, at_edges: bool) -> tuple[Mesh, IntArray]:
-    """The mesh with a vertex for each fan of faces, and the original vertex of each vertex.
-
-    The fan of the piece of the largest area keeps the vertex; within a piece, the largest fan.
+def fan_labels(faces: IntArray, table: EdgeTable, *, over: IntArray) -> IntArray:
+    """Fan of each corner, (3 m,): corners of faces that share an edge, `over` those pairs of sides.
 
     Parameters
     ----------
-    at_edges
-        Whether faces are cut apart at edges that more than two of them share.
+    over : (k, 2)
+        Pairs of sides at one edge.
     """
-    sides = sides_of(mesh)
-    whole = sides.next & (sides.count == 2) if at_edges else sides.next
-    label = _fan_labels(mesh, sides, over=whole)
-    corner = mesh.faces.ravel()
-    area = np.bincount(label, weights=np.repeat(face_areas(mesh), 3))
+    # of side 3 f + c, the numbers 3 f + (c + 1, c + 2 modulo 3) of the corners at start and end
+    face, corner = np.divmod(over, 3)
+    at_start, at_end = 3 * face + (corner + 1) % 3, 3 * face + (corner + 2) % 3
+    alike = table.are_alike(over)
+    i = np.concatenate([at_start[:, 0], at_end[:, 0]])
+    j = np.concatenate(
+        [
+            np.where(alike, at_start[:, 1], at_end[:, 1]),
+            np.where(alike, at_end[:, 1], at_start[:, 1]),
+        ]
+    )
+    return labels(i, j, faces.size)
+
+
+def fan_count(faces: IntArray, table: EdgeTable, vertex_count: int) -> IntArray:
+    """Number of fans of faces at each vertex, (n,); a sound surface has one."""
+    label = fan_labels(faces, table, over=table.adjacent_sides())
     _, first = np.unique(label, return_index=True)
-    vertex = corner[first]
-    # fans are the vertices of the cut mesh: two are of one piece where a face has both
-    fan = label.reshape(-1, 3)
-    piece = _labels(fan[:, [0, 1]].ravel(), fan[:, [1, 2]].ravel(), len(first))
-    whole_area = np.bincount(piece, weights=area)[piece]
-    order = np.lexsort((-area, -whole_area, vertex))  # fans by vertex, the largest first
-    leads = np.ones(len(order), dtype=bool)
-    leads[1:] = vertex[order[1:]] != vertex[order[:-1]]
-    row = np.empty(len(order), dtype=np.int64)
-    row[order[leads]] = vertex[order[leads]]
-    row[order[~leads]] = len(mesh.vertices) + np.arange(int((~leads).sum()))
-    copied = vertex[order[~leads]]
-    cut = Mesh(np.concatenate([mesh.vertices, mesh.vertices[copied]]), row[label].reshape(-1, 3))
-    return cut, np.concatenate([np.arange(len(mesh.vertices)), copied])
+    return np.bincount(faces.ravel()[first], minlength=vertex_count)
 
 
-def patches(mesh: Mesh, sides: Sides) -> tuple[BoolArray, IntArray, BoolArray]:
+def patches(faces: IntArray, table: EdgeTable) -> tuple[BoolArray, IntArray, BoolArray]:
     """Faces to flip for a consistent orientation, patches of faces, and which are non-orientable.
 
     Returns (m,), (m,) and (patches,). Faces of non-orientable patches are unchanged.
@@ -221,12 +166,13 @@ def patches(mesh: Mesh, sides: Sides) -> tuple[BoolArray, IntArray, BoolArray]:
     Each face is two nodes, itself and itself turned; neighbours that wind alike join equal nodes,
     others unequal ones. A patch with two sides falls into two components, one the other's mirror.
     """
-    count = len(mesh.faces)
-    here = np.flatnonzero(sides.next & (sides.count == 2))
-    f, g = sides.face[here], sides.face[here + 1]
-    differ = (sides.start[here] == sides.start[here + 1]) * count
+    count = len(faces)
+    inner = table.inner_sides()
+    f, g = inner.T // 3
+    # node i is face i, node i + count the same face flipped
+    differ = table.are_alike(inner) * count
     i, j = np.concatenate([f, f + count]), np.concatenate([g + differ, g + count - differ])
-    label = _labels(i, j, 2 * count).reshape(2, count)
+    label = labels(i, j, 2 * count).reshape(2, count)
     _, patch = np.unique(label.min(axis=0), return_inverse=True)
     patch = patch.reshape(-1)
     one_sided = np.bincount(patch, weights=label[0] == label[1]) > 0
@@ -238,9 +184,8 @@ def patches(mesh: Mesh, sides: Sides) -> tuple[BoolArray, IntArray, BoolArray]:
 
 def has_sides(mesh: Mesh) -> bool:
     """Whether the two faces of an edge always wind alike; edges of more faces are not asked."""
-    sides = sides_of(mesh)
-    here = np.flatnonzero(sides.next & (sides.count == 2))
-    return not (sides.start[here] == sides.start[here + 1]).any()
+    table = edge_table(mesh.faces, len(mesh.vertices))
+    return not table.are_alike(table.inner_sides()).any()
 
 
 def with_turned(mesh: Mesh, turned: BoolArray) -> Mesh:
@@ -250,7 +195,7 @@ def with_turned(mesh: Mesh, turned: BoolArray) -> Mesh:
     return replace(mesh, faces=np.where(turned[:, None], mesh.faces[:, ::-1], mesh.faces))
 
 
-def is_inward(mesh: Mesh, sides: Sides, patch: IntArray) -> BoolArray:
+def is_inward(mesh: Mesh, table: EdgeTable, patch: IntArray) -> BoolArray:
     """Which patches have their normals inward, (patches,).
 
     By the sign of the volume they enclose, which is trusted while the rims of their holes are
@@ -267,29 +212,28 @@ def is_inward(mesh: Mesh, sides: Sides, patch: IntArray) -> BoolArray:
     )
     a, b, c = (corners[:, i] - middle[patch] for i in range(3))
     volume = np.bincount(patch, weights=np.einsum("ij,ij->i", a, np.cross(b, c)) / 6)
-    open_side = sides.count != 2
-    ends = mesh.vertices[sides.start[open_side]] - mesh.vertices[sides.end[open_side]]
-    rim = np.bincount(
-        patch[sides.face[open_side]], weights=np.linalg.norm(ends, axis=1), minlength=count
-    )
+    side = np.flatnonzero(table.count[table.of_side.ravel()] != 2)
+    ends = mesh.vertices[table.start[side]] - mesh.vertices[table.end[side]]
+    rim = np.bincount(patch[side // 3], weights=np.linalg.norm(ends, axis=1), minlength=count)
     return (volume < -1e-6 * area**1.5) & (rim < area**0.5)
 
 
 def turned_outward(mesh: Mesh) -> Mesh:
     """The mesh consistently oriented, and closed pieces outward."""
-    sides = sides_of(mesh)
-    turned, patch, _ = patches(mesh, sides)
+    table = edge_table(mesh.faces, len(mesh.vertices))
+    turned, patch, _ = patches(mesh.faces, table)
     mesh = with_turned(mesh, turned)
-    return with_turned(mesh, is_inward(mesh, sides, patch)[patch])
+    # flipping changes the direction of sides, but not which of them lie at one edge
+    return with_turned(mesh, is_inward(mesh, table, patch)[patch])
 
 
-def rims(mesh: Mesh, sides: Sides) -> tuple[IntArray, FloatArray]:
+def rims(mesh: Mesh, table: EdgeTable) -> tuple[IntArray, FloatArray]:
     """Directed edges of one face with the number of their rim, (b, 3), and the rims' lengths."""
-    alone = sides.count == 1
-    start, end = sides.start[alone], sides.end[alone]
+    side = table.open_sides()
+    start, end = table.start[side], table.end[side]
     if len(start) == 0:
         return np.zeros((0, 3), dtype=np.int64), np.zeros(0)
-    label = _labels(start, end, len(mesh.vertices))[start]
+    label = labels(start, end, len(mesh.vertices))[start]
     _, rim = np.unique(label, return_inverse=True)
     rim = rim.reshape(-1)
     ends = mesh.vertices[start] - mesh.vertices[end]

@@ -9,7 +9,7 @@ from scipy.sparse.linalg import spsolve
 from esd.common import FloatArray, IntArray
 from esd.mesh.geometry import adjacency, edges, surface_area
 from esd.mesh.mesh import Mesh
-from esd.mesh.topology import rims, sides_of
+from esd.mesh.topology import edge_table, rims
 
 _RINGS = 20  # of a patch at the most; the largest patches of very dense meshes are coarser
 
@@ -47,7 +47,7 @@ def holes_filled(mesh: Mesh, *, shorter_than: float) -> tuple[Mesh, IntArray]:
 
 def _loops(mesh: Mesh, longest: float) -> list[IntArray]:
     """The vertices along each rim up to a length, so that its hole lies to their left."""
-    directed, length = rims(mesh, sides_of(mesh))
+    directed, length = rims(mesh, edge_table(mesh.faces, len(mesh.vertices)))
     directed = directed[length[directed[:, 2]] < longest]
     directed = directed[np.argsort(directed[:, 2], kind="stable")]
     loops = []
