@@ -5,8 +5,8 @@ from scipy.optimize import linear_sum_assignment
 from esd.common import InputError
 from esd.matching.assignment import one_to_one
 from esd.matching.precise import precise_map
-from esd.matching.transfer import carried_values
 from esd.mesh.shapes import grid, icosphere
+from esd.mesh.surface import interpolated
 
 
 def test_assignments_cost_as_little_as_a_dense_solver_s():
@@ -39,11 +39,11 @@ def test_points_of_a_plane_are_found_exactly():
     found = precise_map(points, flat, mesh.faces, nearest)
     np.testing.assert_allclose(found.weights.sum(axis=1), 1)
     assert found.weights.min() >= 0
-    inside = np.linalg.norm(carried_values(flat, mesh, found) - points, axis=1) < 1e-12
+    inside = np.linalg.norm(interpolated(flat, mesh, found) - points, axis=1) < 1e-12
     # a face that holds the point need not touch the nearest vertex, but nearly always does
     assert inside.mean() > 0.9
     outside = precise_map(np.array([[-1.0, 0.5]]), flat, mesh.faces, np.array([4]))
-    np.testing.assert_allclose(carried_values(flat, mesh, outside), [[0, 0.5]], atol=1e-12)
+    np.testing.assert_allclose(interpolated(flat, mesh, outside), [[0, 0.5]], atol=1e-12)
 
 
 def test_precise_points_are_nearer_than_vertices_and_no_sample_of_a_face_is_nearer():
@@ -52,7 +52,7 @@ def test_precise_points_are_nearer_than_vertices_and_no_sample_of_a_face_is_near
     nearest = ((points[:, None] - mesh.vertices) ** 2).sum(axis=2).argmin(axis=1)
     nearest[5] = -1
     found = precise_map(points, mesh.vertices, mesh.faces, nearest)
-    gap = np.linalg.norm(carried_values(mesh.vertices, mesh, found) - points, axis=1)
+    gap = np.linalg.norm(interpolated(mesh.vertices, mesh, found) - points, axis=1)
     assert np.isnan(gap[5])
     assert found.face[5] == -1
     known = np.arange(100) != 5

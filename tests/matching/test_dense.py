@@ -7,11 +7,10 @@ from esd.datasets.bodies import bodies
 from esd.matching.correspondence import Correspondence
 from esd.matching.dense import carried_to_dense
 from esd.matching.match import match
-from esd.matching.transfer import Places
 from esd.mesh.geometry import edge_lengths, is_referenced, surface_area
 from esd.mesh.mesh import Mesh
-from esd.mesh.remesh.remesh import nearest_place
 from esd.mesh.shapes import grid, subdivide
+from esd.mesh.surface import SurfacePoints, closest_points
 from esd.spectral.coarse import MeshCopy, coarse_copy
 
 
@@ -28,7 +27,7 @@ def test_a_right_map_of_copies_is_right_on_the_dense_meshes(blob):
     copies = coarse_copy(dense, 1000), coarse_copy(other, 1200)
     # the truth: where each vertex of one copy lies on the other
     index = cKDTree(copies[1].mesh.vertices).query(copies[0].mesh.vertices)[1]
-    image = Places(*nearest_place(copies[1].mesh, copies[0].mesh.vertices, index))
+    image = closest_points(copies[1].mesh, copies[0].mesh.vertices, index)
     match = Correspondence(index, np.zeros(len(index)), np.linspace(0, 1, len(index)))
     found = carried_to_dense(match, image, *copies)
     gap = np.linalg.norm(other.vertices[found.target_index] - dense.vertices, axis=1)
@@ -39,7 +38,7 @@ def test_a_right_map_of_copies_is_right_on_the_dense_meshes(blob):
     assert 0 <= found.confidence.min() < found.confidence.max() <= 1
     back = carried_to_dense(
         Correspondence(np.arange(len(copies[1].mesh.vertices)), *np.zeros((2, 1200))),
-        Places(*nearest_place(copies[1].mesh, copies[1].mesh.vertices, np.arange(1200))),
+        closest_points(copies[1].mesh, copies[1].mesh.vertices, np.arange(1200)),
         copies[1],
         copies[1],
     )
@@ -63,11 +62,11 @@ def test_faces_that_the_map_tears_apart_have_no_vertex_between():
     # on the copy, each dense vertex lies between the first two corners of a face
     middle = np.tile([0.6, 0.4, 0.0], (len(corners), 1))
     places = np.einsum("fc,fck->fk", middle, square.vertices[corners])
-    source = MeshCopy(square, places, np.arange(len(corners)), middle)
+    source = MeshCopy(square, places, SurfacePoints(np.arange(len(corners)), middle))
     torn_apart = square.vertices + [[100.0 * (i % 2), 0, 0] for i in range(len(square.vertices))]
     target = coarse_copy(Mesh(torn_apart, corners), 100)
     everywhere = np.arange(len(torn_apart))
-    image = Places(*nearest_place(target.mesh, torn_apart, everywhere))
+    image = closest_points(target.mesh, torn_apart, everywhere)
     match = Correspondence(everywhere, *np.zeros((2, len(everywhere))))
     found = carried_to_dense(match, image, source, target)
     torn = corners[:, 0] % 2 != corners[:, 1] % 2
@@ -99,7 +98,7 @@ def test_a_subdivided_copy_keeps_values_at_the_vertices(blob):
     lone = Mesh(np.insert(blob.vertices, 7, 9.0, axis=0), blob.faces + (blob.faces >= 7))
     copy = fine_copy(lone, 2000)
     assert is_referenced(copy.mesh).all()
-    assert copy.face[7] == -1
+    assert copy.points.face[7] == -1
     others = np.delete(np.arange(len(lone.vertices)), 7)
     np.testing.assert_allclose(copy.carried(copy.mesh.vertices)[others], blob.vertices)
 

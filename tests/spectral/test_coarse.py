@@ -20,7 +20,7 @@ def with_a_loose_vertex(mesh):
 def test_dense_vertices_lie_on_the_copy():
     copy = coarse_copy(with_a_loose_vertex(SPHERE), 1000)
     assert abs(len(copy.mesh.vertices) - 1000) < 50
-    assert copy.face[0] == -1
+    assert copy.points.face[0] == -1
     places = copy.carried(copy.mesh.vertices)
     assert np.isnan(places[0]).all()
     # triangles of side 0.12 are 0.12² / 6 = 0.0024 below the sphere in the middle; some are larger

@@ -14,7 +14,7 @@ from esd.datasets.body_pack import Pack, posed, read_pack
 from esd.datasets.collection import Collection, Shape
 from esd.datasets.remeshing import remeshed_shape
 from esd.mesh.mesh import Mesh
-from esd.mesh.remesh.remesh import Style
+from esd.mesh.remesh.styles import Style
 
 TRAINING_SUBJECTS = tuple(f"s{number:02d}" for number in range(10))
 TESTING_SUBJECTS = tuple(f"s{number:02d}" for number in range(10, 14))

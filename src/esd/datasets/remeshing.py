@@ -11,7 +11,8 @@ import numpy as np
 from esd.common import InputError, IntArray
 from esd.datasets.collection import Collection, Shape
 from esd.mesh.mesh import Mesh
-from esd.mesh.remesh.remesh import STYLES, Style, remesh
+from esd.mesh.remesh.remesh import remesh
+from esd.mesh.remesh.styles import STYLES, Style
 from esd.mesh.repair.repair import repair
 from esd.spectral.cache import Arrays, content_key, default_cache
 

@@ -20,6 +20,7 @@ from esd.matching.match import Mirror, check_copies, match_features, prepared, w
 from esd.mesh.io.landmarks import read_landmarks
 from esd.mesh.mesh import Mesh, PointCloud
 from esd.mesh.repair.repair import usable_part
+from esd.mesh.surface import SurfacePoints
 from esd.parallel import EVERY_CORE, Workers, outcomes, shared_folder
 from esd.spectral.cache import default_cache
 from esd.spectral.coarse import MeshCopy
@@ -292,8 +293,8 @@ def save_features(features: Features, folder: Path) -> None:
     if copy is not None:
         arrays |= {
             "dense": copy.vertices,
-            "face": copy.face,
-            "barycentric": copy.barycentric,
+            "face": copy.points.face,
+            "barycentric": copy.points.weights,
         }
     folder.mkdir()
     for name, array in arrays.items():
@@ -310,7 +311,8 @@ def load_features(folder: Path) -> Features:
         shape = Mesh(arrays["vertices"], arrays["faces"])
     copy = None
     if isinstance(shape, Mesh) and "face" in arrays:
-        copy = MeshCopy(shape, arrays["dense"], arrays["face"], arrays["barycentric"])
+        points = SurfacePoints(arrays["face"], arrays["barycentric"])
+        copy = MeshCopy(shape, arrays["dense"], points)
     spectrum = Spectrum(
         arrays["eigenvalues"], arrays["eigenvectors"], arrays["mass"], int(arrays["zero_modes"])
     )

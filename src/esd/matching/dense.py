@@ -9,8 +9,8 @@ from scipy.spatial import KDTree
 
 from esd.common import FloatArray
 from esd.matching.correspondence import Correspondence
-from esd.matching.transfer import Places, carried_values
 from esd.mesh.geometry import surface_area, vertex_normals
+from esd.mesh.surface import SurfacePoints, interpolated
 from esd.spectral.coarse import MeshCopy
 
 _TORN = 5.0  # times its own size, beyond which the image of a face lies across a tear of the map
@@ -18,7 +18,7 @@ _TORN = 5.0  # times its own size, beyond which the image of a face lies across 
 
 def carried_to_dense(
     match: Correspondence,
-    image: Places,
+    image: SurfacePoints,
     source: MeshCopy,
     target: MeshCopy,
 ) -> Correspondence:
@@ -38,12 +38,12 @@ def carried_to_dense(
     # nearness in position and normal keeps matches on their side of a finger
     reach = np.sqrt(surface_area(target.mesh) / len(target.mesh.vertices))
     oriented = np.hstack([target.mesh.vertices, reach * vertex_normals(target.mesh)])
-    there = carried_values(oriented, target.mesh, image)
+    there = interpolated(oriented, target.mesh, image)
     source = _not_across_tears(source, there, surface_area(target.mesh))
-    known, reached = (np.flatnonzero(copy.face >= 0) for copy in (source, target))
+    known, reached = (np.flatnonzero(copy.points.face >= 0) for copy in (source, target))
     candidates = target.carried(oriented)[reached]
     candidates[:, :3] = target.vertices[reached]
-    index = np.full(len(source.face), -1, dtype=np.int64)
+    index = np.full(len(source.points.face), -1, dtype=np.int64)
     sought = source.carried(there)[known]
     index[known] = reached[KDTree(candidates).query(sought, workers=-1)[1]]
     distance, confidence = (source.carried(x) for x in (match.distance, match.confidence))
@@ -63,6 +63,7 @@ def _not_across_tears(source: MeshCopy, there: FloatArray, area: float) -> MeshC
         for corners in (source.mesh.vertices[faces], there[faces, :3])
     )
     scale = np.sqrt(area / surface_area(source.mesh))
-    torn = (stretched > _TORN * scale * size)[source.face, None]
-    corner = np.eye(3)[np.nan_to_num(source.barycentric).argmax(axis=1)]
-    return replace(source, barycentric=np.where(torn, corner, source.barycentric))
+    torn = (stretched > _TORN * scale * size)[source.points.face, None]
+    corner = np.eye(3)[np.nan_to_num(source.points.weights).argmax(axis=1)]
+    weights = np.where(torn, corner, source.points.weights)
+    return replace(source, points=replace(source.points, weights=weights))

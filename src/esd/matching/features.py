@@ -13,6 +13,7 @@ from esd.learning.model import Model
 from esd.learning.patches import patch_operator
 from esd.mesh.mesh import Mesh, PointCloud
 from esd.mesh.repair.repair import Repaired
+from esd.mesh.surface import nearest_vertices
 from esd.spectral.cache import Cache
 from esd.spectral.coarse import MeshCopy, coarse_copy, fine_copy
 from esd.spectral.spectrum import Spectrum
@@ -63,10 +64,8 @@ class Features:
         repaired = self.vertex_index[vertices]
         if self.copy is None:
             return repaired
-        corner = np.nan_to_num(self.copy.barycentric[repaired]).argmax(axis=1)
-        face = self.copy.face[repaired]
-        nearest = self.copy.mesh.faces[face, corner]
-        return np.where((repaired >= 0) & (face >= 0), nearest, -1)
+        nearest = nearest_vertices(self.copy.mesh, self.copy.points)
+        return np.where(repaired >= 0, nearest[repaired], -1)
 
     def is_filling(self) -> BoolArray:
         """Whether each vertex of the repaired mesh fills a hole, (r,)."""
@@ -101,7 +100,8 @@ def reflected(features: Features, *, model: Model) -> Features:
             copy,
             mesh=mesh,
             vertices=copy.vertices * [-1.0, 1.0, 1.0],
-            barycentric=copy.barycentric[:, ::-1],  # of the corners in their new order
+            # of the corners in their new order
+            points=replace(copy.points, weights=copy.points.weights[:, ::-1]),
         )
     return replace(
         features,

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from scipy import sparse
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
-from trimesh import triangles as trimesh_triangles
 
 from esd.common import FloatArray, InputError, IntArray
 from esd.matching.correspondence import Correspondence
 from esd.mesh.geodesics import geodesic_graph
 from esd.mesh.geometry import edge_lengths, is_referenced, surface_area, vertex_areas
 from esd.mesh.mesh import Mesh
+from esd.mesh.surface import (
+    SurfacePoints,
+    at_vertices,
+    barycentric_weights,
+    closest_in_triangles,
+    interpolated,
+)
 
 Method = Literal["barycentric", "nearest"]
 
@@ -23,25 +28,9 @@ _TORN = 5  # a face whose image has edges this many times too long lies across a
 _CHUNK = 20_000
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Places:
-    """Places on a mesh.
-
-    Parameters
-    ----------
-    face : (p,) int64
-        The face of each place; -1 for none.
-    weights : (p, 3)
-        Barycentric weights of the corners of the face.
-    """
-
-    face: IntArray
-    weights: FloatArray
-
-
 def vertex_places(
     source: Mesh, target: Mesh, match: Correspondence, *, method: Method = "barycentric"
-) -> Places:
+) -> SurfacePoints:
     """The place on the source of each vertex of the target.
 
     The map takes the source's faces onto the target; a target vertex belongs where it lies in such
@@ -60,13 +49,13 @@ def vertex_places(
 
 def face_places(
     source: Mesh, target: Mesh, match: Correspondence, *, method: Method = "barycentric"
-) -> Places:
+) -> SurfacePoints:
     """The place on the source of the middle of each face of the target; see `vertex_places`."""
     middle = target.vertices[target.faces].mean(axis=1)
     return places_of_points(source, target, match, middle, target.faces, method)
 
 
-def carried_values(values: FloatArray, source: Mesh, places: Places) -> FloatArray:
+def carried_values(values: FloatArray, source: Mesh, places: SurfacePoints) -> FloatArray:
     """Values (n, ...) at the source's vertices, interpolated at some places; NaN for none.
 
     Raises
@@ -75,13 +64,10 @@ def carried_values(values: FloatArray, source: Mesh, places: Places) -> FloatArr
         If there is not one value for each vertex of the source.
     """
     _check_length(values, len(source.vertices), "value for each vertex")
-    corners = np.asarray(values, dtype=float)[source.faces[places.face]]
-    result = np.einsum("pc,pc...->p...", places.weights, corners)
-    result[places.face < 0] = np.nan
-    return result
+    return interpolated(np.asarray(values, dtype=float), source, places)
 
 
-def carried_labels(labels: IntArray, source: Mesh, places: Places) -> IntArray:
+def carried_labels(labels: IntArray, source: Mesh, places: SurfacePoints) -> IntArray:
     """Labels (n,) of the source's vertices at some places: that of most weight; -1 for none.
 
     Raises
@@ -96,7 +82,7 @@ def carried_labels(labels: IntArray, source: Mesh, places: Places) -> IntArray:
     return np.where(places.face >= 0, winner, -1)
 
 
-def carried_face_labels(labels: IntArray, source: Mesh, places: Places) -> IntArray:
+def carried_face_labels(labels: IntArray, source: Mesh, places: SurfacePoints) -> IntArray:
     """Labels (m,) of the source's faces at some places; -1 for none.
 
     Raises
@@ -127,22 +113,22 @@ def carried_texture(
         If the coordinates or the map do not fit the meshes, or part of the target is out of reach.
     """
     _check_length(coordinates, len(source.faces), "triple of texture coordinates for each face")
-    at_vertices = vertex_places(source, target, match)
+    at_corners = vertex_places(source, target, match)
     middle = face_places(source, target, match)
-    if (at_vertices.face[target.faces] < 0).any() or (middle.face < 0).any():
+    if (at_corners.face[target.faces] < 0).any() or (middle.face < 0).any():
         raise InputError("Part of the target has no match on any of its vertices; no texture.")
 
-    def interpolated(places: Places) -> FloatArray:
+    def coloured(places: SurfacePoints) -> FloatArray:
         return np.asarray(np.einsum("pc,pcd->pd", places.weights, coordinates[places.face]))
 
-    direct = interpolated(at_vertices)[target.faces]
-    centre = interpolated(middle)[:, None]
+    direct = coloured(at_corners)[target.faces]
+    centre = coloured(middle)[:, None]
     image = target.vertices[match.target_index[source.faces[middle.face]]]
     corners = target.vertices[target.faces]
     going_on = np.empty_like(direct)
     for corner in range(3):
-        with np.errstate(divide="ignore", invalid="ignore"):  # images of faces may have no area
-            weights = trimesh_triangles.points_to_barycentric(image, corners[:, corner])
+        with np.errstate(over="ignore"):  # images of faces may have hardly any area, or none
+            weights = barycentric_weights(corners[:, corner], image)
         going_on[:, corner] = np.einsum("pc,pcd->pd", weights, coordinates[middle.face])
     is_across = np.linalg.norm(direct - centre, axis=2) > 2 * np.linalg.norm(
         going_on - centre, axis=2
@@ -217,8 +203,8 @@ def places_of_points(
     points: FloatArray,
     near: IntArray,
     method: Method,
-) -> Places:
-    """Places of points of the target (p, 3), each near some of its vertices (p, c)."""
+) -> SurfacePoints:
+    """SurfacePoints of points of the target (p, 3), each near some of its vertices (p, c)."""
     _check_fit(source, target, match)
     usable = np.flatnonzero(match.is_matched() & is_referenced(source))
     if len(usable) == 0:
@@ -231,7 +217,7 @@ def places_of_points(
     first_choice = reach.argmin(axis=1)[:, None]
     of_image = np.full(len(target.vertices) + 1, -1)  # one more, for none
     of_image[hit] = usable[first]
-    places = _at_vertices(source, of_image[np.take_along_axis(hits, first_choice, axis=1)[:, 0]])
+    places = at_vertices(source, of_image[np.take_along_axis(hits, first_choice, axis=1)[:, 0]])
     if method == "nearest":
         return places
 
@@ -243,26 +229,13 @@ def places_of_points(
         rows = touching[hits[start + chunk, column]]
         which = np.repeat(start + chunk, np.diff(rows.indptr))
         triangles = target.vertices[image[rows.indices]]
-        closest = trimesh_triangles.closest_point(triangles, points[which])
-        distance = np.linalg.norm(closest - points[which], axis=1)
-        order = np.lexsort((distance, which))
+        weights, squared = closest_in_triangles(points[which], triangles)
+        order = np.lexsort((squared, which))
         order = order[np.unique(which[order], return_index=True)[1]]
-        order = order[distance[order] < best[which[order]]]
+        order = order[np.sqrt(squared[order]) < best[which[order]]]
         places.face[which[order]] = rows.indices[order]
-        places.weights[which[order]] = trimesh_triangles.points_to_barycentric(
-            triangles[order], closest[order]
-        )
+        places.weights[which[order]] = weights[order]
     return places
-
-
-def _at_vertices(source: Mesh, vertices: IntArray) -> Places:
-    """Some of the source's vertices as places; -1 for none."""
-    some_corner = np.zeros(len(source.vertices) + 1, dtype=np.int64)
-    some_corner[source.faces.ravel()] = np.arange(source.faces.size)
-    corner = some_corner[vertices]
-    weights = np.zeros((len(vertices), 3))
-    weights[np.arange(len(vertices)), corner % 3] = 1
-    return Places(np.where(vertices >= 0, corner // 3, -1), weights)
 
 
 def _faces_at_images(source: Mesh, target: Mesh, image: IntArray) -> sparse.csr_array:

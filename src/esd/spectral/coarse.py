@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 
-from esd.common import FloatArray, InputError, IntArray
+from esd.common import FloatArray, InputError
 from esd.mesh.geometry import is_referenced
 from esd.mesh.mesh import Mesh, PointCloud
 from esd.mesh.shapes import subdivide
+from esd.mesh.surface import SurfacePoints, at_vertices, closest_points, interpolated
 from esd.mesh.topology import compacted
 from esd.spectral.cache import Arrays, Cache, content_key
 from esd.spectral.laplacian import LaplacianKind, lumped_mass
@@ -27,25 +28,17 @@ class MeshCopy:
         The copy.
     vertices : (n, 3)
         Of the original mesh.
-    face : (n,)
-        Face of the copy nearest to each original vertex; -1 where that has no face.
-    barycentric : (n, 3)
-        Barycentric coordinates of the nearest point there; NaN for none.
+    points : (n,)
+        The point of the copy closest to each original vertex; none where that has no face.
     """
 
     mesh: Mesh
     vertices: FloatArray
-    face: IntArray
-    barycentric: FloatArray
+    points: SurfacePoints
 
     def carried(self, values: FloatArray) -> FloatArray:
         """Values at the original vertices, (n, …), of values at the copy's; NaN for none."""
-        corners = self.mesh.faces[self.face]
-        result = np.zeros((len(self.face), *values.shape[1:]))
-        for corner in range(3):  # one after another, since all at once may not fit into memory
-            weight = self.barycentric[:, corner].reshape(-1, *[1] * (values.ndim - 1))
-            result += weight * values[corners[:, corner]]
-        return result
+        return interpolated(values, self.mesh, self.points)
 
 
 def coarse_copy(
@@ -66,7 +59,7 @@ def coarse_copy(
         If there are only points, the mesh is no oriented manifold, or the number is too small to
         follow its surface.
     """
-    from esd.mesh.remesh.remesh import nearest_place, remesh  # slow to import: it searches in trees
+    from esd.mesh.remesh.remesh import remesh  # slow to import: it searches in trees
 
     if isinstance(mesh, PointCloud):
         raise InputError("Points without faces have no coarse copy; leave them as they are.")
@@ -82,9 +75,10 @@ def coarse_copy(
         arrays = compute() if cache is None else cache.computed(key, compute)
         copy, near = Mesh(arrays["vertices"], arrays["faces"]), arrays["near"]
     face = np.full(len(mesh.vertices), -1, dtype=np.int64)
-    barycentric = np.full((len(face), 3), np.nan)
-    face[used], barycentric[used] = nearest_place(copy, mesh.vertices[used], near[used])
-    return MeshCopy(copy, mesh.vertices, face, barycentric)
+    weights = np.full((len(face), 3), np.nan)
+    closest = closest_points(copy, mesh.vertices[used], near[used])
+    face[used], weights[used] = closest.face, closest.weights
+    return MeshCopy(copy, mesh.vertices, SurfacePoints(face, weights))
 
 
 def fine_copy(mesh: Mesh, least: int) -> MeshCopy:
@@ -96,17 +90,10 @@ def fine_copy(mesh: Mesh, least: int) -> MeshCopy:
     copy = mesh
     while len(copy.vertices) < least:
         copy = subdivide(copy)
-    # the first vertices of a subdivided mesh are those of the mesh: each a corner of some face
-    corner = np.full(len(mesh.vertices), -1, dtype=np.int64)
-    flat = copy.faces.ravel()
-    own = np.flatnonzero(flat < len(corner))
-    corner[flat[own]] = own
-    barycentric = np.full((len(corner), 3), np.nan)
-    found = np.flatnonzero(corner >= 0)
-    barycentric[found] = np.eye(3)[corner[found] % 3]
-    face = np.where(corner >= 0, corner // 3, -1)
+    # the first vertices of a subdivided mesh are those of the mesh
+    points = at_vertices(copy, np.arange(len(mesh.vertices)))
     # without vertices that have no face, which could only be matched with each other
-    return MeshCopy(compacted(copy)[0], mesh.vertices, face, barycentric)
+    return MeshCopy(compacted(copy)[0], mesh.vertices, points)
 
 
 def coarse_spectrum(
