@@ -8,7 +8,16 @@ from pathlib import Path
 import pytest
 
 import esd.common as common
-from esd.common import InputError, check_can_be_made, install_hint, whole_file, whole_folder
+from esd.common import (
+    InputError,
+    check_can_be_made,
+    existing_file,
+    install_hint,
+    read_array,
+    whole_file,
+    whole_folder,
+    whole_number,
+)
 
 ROOT = Path(__file__).parents[1]
 
@@ -103,10 +112,30 @@ def test_paths_that_cannot_be_written_are_refused(tmp_path):
     assert not (tmp_path / "a").exists()
 
 
-def test_a_folder_that_is_closed_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(os, "access", lambda *_: False)
-    with pytest.raises(InputError, match="is not open to you"):
-        check_can_be_made(tmp_path / "x.txt")
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="needs a folder no one can write to")
+def test_a_folder_that_cannot_be_written_to_is_refused(tmp_path):
+    with pytest.raises(InputError, match=r"'/proc/a/x.txt' cannot be written: in '/proc', \w+"):
+        check_can_be_made("/proc/a/x.txt")  # though its permissions allow it to root
+    check_can_be_made(tmp_path / "x.txt")
+    assert not list(tmp_path.iterdir())
+
+
+def test_whole_numbers_are_read_and_others_refused():
+    assert [whole_number(text) for text in (" 7", "-1\n", "0")] == [7, -1, 0]
+    for text, said in (("", "empty"), (None, "empty"), ("1.5", "'1.5'"), ("--1", "'--1'")):
+        with pytest.raises(InputError, match=f"expected a whole number; .*{said}"):
+            whole_number(text)
+    with pytest.raises(InputError, match="expected a whole number; got '1000"):
+        whole_number(str(10**18))
+
+
+def test_files_that_cannot_be_there_are_missing(tmp_path):
+    for name in ("none", "x" * 300, "a\0b"):
+        with pytest.raises(InputError, match="There is no file"):
+            existing_file(tmp_path / name)
+    (tmp_path / "a.npy").write_bytes(b"hello")
+    with pytest.raises(InputError, match=r"a.npy' holds no array"):
+        read_array(tmp_path / "a.npy")
 
 
 def test_hints_name_the_distribution_and_an_extra_that_it_has():

@@ -24,6 +24,7 @@ DISTRIBUTION = "embedded-spectral-descriptors"
 
 _EXCHANGE = 2  # RENAME_EXCHANGE of renameat2(2)
 _HERE = -100  # AT_FDCWD
+_LONGEST = 18  # digits of a number that 64 bits hold
 
 
 class InputError(ValueError):
@@ -44,6 +45,50 @@ def is_positive(value: object) -> bool:
     """Whether a value that was read from a file is a positive, finite number."""
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     return is_number and 0 < value < float("inf")  # type: ignore[operator]
+
+
+def existing_file(path: str | os.PathLike[str]) -> Path:
+    """The path, if there is a file.
+
+    Raises
+    ------
+    InputError
+        If there is none, be it that there cannot be one of that name.
+    """
+    if not os.path.isfile(path):  # where pathlib asks the system, and raises on names too long
+        raise InputError(f"There is no file '{os.fspath(path)}'.")
+    return Path(path)
+
+
+def read_array(path: str | os.PathLike[str]) -> npt.NDArray[Any]:
+    """The array in a `.npy` file, mapped: a header that announces too much costs nothing.
+
+    Raises
+    ------
+    InputError
+        If there is no such file, or no array in it.
+    """
+    path = existing_file(path)
+    try:
+        return np.load(path, mmap_mode="r", allow_pickle=False)  # type: ignore[no-any-return]
+    except Exception as error:  # numpy parses the header as Python, which fails in many ways
+        raise InputError(f"'{path}' holds no array: {' '.join(str(error).split())}.") from error
+
+
+def whole_number(cell: str | None) -> int:
+    """The whole number in a cell of a table or in a word of a text.
+
+    Raises
+    ------
+    InputError
+        If there is none, or it is beyond 64 bits. The message says neither file nor line.
+    """
+    text = (cell or "").strip()
+    digits = text.removeprefix("-")
+    if not (digits.isascii() and digits.isdigit() and len(digits) <= _LONGEST):
+        shown = f"got '{text[:40]}'" if text else "the cell is empty"
+        raise InputError(f"expected a whole number; {shown}")
+    return int(text)
 
 
 @contextlib.contextmanager
@@ -77,6 +122,10 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
         # mkstemp makes files that only their owner can read
         temporary.chmod(place.stat().st_mode & 0o7777 if place.exists() else 0o666 & ~_umask())
         temporary.replace(place)
+    except OSError as error:
+        if error.filename is None:  # of writing to what is open: the disk is full
+            raise InputError(f"'{path}' cannot be written: {error.strerror or error}.") from error
+        raise
     finally:
         temporary.unlink(missing_ok=True)
 
@@ -121,7 +170,7 @@ def check_can_be_made(path: str | os.PathLike[str]) -> Path:
     Raises
     ------
     InputError
-        If part of the path is a file, or the first folder that exists cannot be written to.
+        If part of the path is a file, or nothing can be written to the first folder that exists.
     """
     path = Path(path)
     folder = Path(os.path.realpath(path)).parent
@@ -129,9 +178,14 @@ def check_can_be_made(path: str | os.PathLike[str]) -> Path:
         folder = folder.parent
     if not folder.is_dir():
         raise InputError(f"'{path}' cannot be written: '{folder}' is a file, not a folder.")
-    if not os.access(folder, os.W_OK):
-        raise InputError(f"'{path}' cannot be written: '{folder}' is not open to you.")
-    return path
+    try:
+        # tried, because permissions do not say it all: file systems may be read-only or special
+        with tempfile.TemporaryFile(dir=folder):
+            return path
+    except OSError as error:
+        raise InputError(
+            f"'{path}' cannot be written: in '{folder}', {error.strerror or error}."
+        ) from error
 
 
 def _exchanged(first: Path, second: Path) -> bool:

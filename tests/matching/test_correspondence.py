@@ -29,6 +29,7 @@ def test_lines_in_any_order_keep_their_distances_and_confidences(tmp_path):
 
 
 HEAD = "source,target,distance,confidence\n"
+NPY = "\x93NUMPY\x01\x00v\x00{'descr': '<i8', 'fortran_order': False, 'shape': (3,), }".ljust(128)
 
 
 @pytest.mark.parametrize(
@@ -44,8 +45,16 @@ HEAD = "source,target,distance,confidence\n"
         ),
         ("m.csv", HEAD + "0,6000,0,1\n1,1,0,1\n2,0,0,1\n", "names target vertex 6000"),
         ("m.csv", HEAD + "0,1,0,1\n1,1,0,1\n2,0", "no line break: add one, if it is not cut short"),
-        ("m.csv", HEAD + "0,1,0,1\n1\n2,0,0,1\n", "line 3: int"),
-        ("m.csv", HEAD + "0,1,0,1\n1,one,0,1\n2,0,0,1\n", "line 3: invalid literal"),
+        (
+            "m.csv",
+            HEAD + "0,1,0,1\n1\n2,0,0,1\n",
+            "line 3: expected a whole number; the cell is empty",
+        ),
+        (
+            "m.csv",
+            HEAD + "0,1,0,1\n1,one,0,1\n2,0,0,1\n",
+            "line 3: expected a whole number; got 'one'",
+        ),
         ("m.csv", HEAD + "0,1,near,1\n1,1,0,1\n2,0,0,1\n", "line 2: could not convert"),
         ("m.csv", HEAD + f"0,{10**30},0,1\n1,1,0,1\n2,0,0,1\n", "holds no map"),
         ("m.csv", "a,b\n1,2\n", "expected the columns source,target"),
@@ -56,8 +65,12 @@ HEAD = "source,target,distance,confidence\n"
         ("m.txt", "1\n2\n-7\n", "names target vertex -7; expected 0"),
         ("m.txt", "1\n2\n4\n", "names target vertex 3 "),
         ("m.txt", "1\n2\n", "maps 2 vertices; the source mesh has 3"),
-        ("m.txt", "1\n2\n3.5\n", "holds no map"),
+        ("m.txt", "1\n2\n3.5\n", "m.txt' holds no map: line 3: expected a whole number; got '3.5'"),
+        ("m.txt", f"1\n{10**30}\n3\n", "line 2: expected a whole number; got '1000"),
         ("m.vts", " \n", "it is empty"),
+        # numpy reads the header as Python
+        ("m.npy", NPY.replace("(3,)", "(3,"), "m.npy' holds no array"),
+        ("m.npy", NPY.replace("<i8", "<i9"), "m.npy' holds no array"),
         ("m.xyz", "1\n", "a map's file ends in"),
     ],
 )

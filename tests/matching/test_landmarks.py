@@ -60,8 +60,12 @@ def test_landmarks_are_paired_by_name():
     ("text", "message"),
     [
         ("a,b\n1,2\n", "must have the columns source,target"),
-        ("source,target\n1,x\n", "holds no pairs of vertices"),
-        ("source,target\n1\n", "holds no pairs of vertices"),
+        ("source,target\n1,2\n\n1,x\n", r"line 4, target: expected a whole number; got 'x'"),
+        ("source,target\n1\n", r"line 2, target: expected a whole number; the cell is empty"),
+        ("source,target\n-1,2\n", r"line 2, source: vertices are counted from 0; got -1"),
+        (f"source,target\n{10**30},2\n", r"line 2, source: expected a whole number; got '1000"),
+        ("source,target\n", "lists no landmarks"),
+        ("source,target\n" + "x" * 200_000, r"pairs.csv' is no CSV file: field larger than"),
     ],
 )
 def test_bad_pairs_are_refused(tmp_path, text, message):

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from esd.common import InputError, IntArray
+from esd.common import InputError, IntArray, existing_file
 from esd.mesh.io.landmarks import Landmarks
 from esd.mesh.mesh import Mesh
 from esd.mesh.repair.repair import Repaired, repair
@@ -231,9 +231,7 @@ def read_pairs(
     InputError
         If the file is not so, or names an unknown shape or two that do not correspond.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise InputError(f"There is no file '{path}'.")
+    path = existing_file(path)
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except UnicodeDecodeError as error:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from esd.common import InputError
+from esd.common import InputError, existing_file
 from esd.learning.model import Model
 from esd.matching.correspondence import check_map_path, save_map
 from esd.matching.features import Features
@@ -84,9 +84,7 @@ def read_pairs_of_files(
     InputError
         If the file is missing or not so, or two maps go to one file.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise InputError(f"There is no file '{path}'.")
+    path = existing_file(path)
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             rows = csv.DictReader(file, skipinitialspace=True)
@@ -105,12 +103,14 @@ def read_pairs_of_files(
     for number, (source, target, output, *landmarks) in enumerate(listed, start=1):
         if not source or not target:
             raise InputError(f"'{path}', pair {number}: a source and a target are needed.")
+        if "\0" in source + target + output + "".join(landmarks):
+            raise InputError(f"'{path}', pair {number}: a name holds a character of code 0.")
         if any(landmarks) and not all(landmarks):
             raise InputError(f"'{path}', pair {number}: landmarks of both shapes, or none.")
         default = Path(folder) / f"{Path(source).stem}-{Path(target).stem}.csv"
         written = check_map_path(path.parent / output if output else default)
         files = (path.parent / landmarks[0], path.parent / landmarks[1]) if any(landmarks) else None
-        missing = [file for file in files or () if not file.is_file()]
+        missing = [file for file in files or () if not os.path.isfile(file)]
         if missing:
             raise InputError(f"'{path}', pair {number}: there is no file '{missing[0]}'.")
         pairs.append(PairOfFiles(path.parent / source, path.parent / target, written, files))

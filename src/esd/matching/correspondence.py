@@ -13,7 +13,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from esd.common import BoolArray, FloatArray, InputError, IntArray, whole_file
+from esd.common import (
+    BoolArray,
+    FloatArray,
+    InputError,
+    IntArray,
+    existing_file,
+    read_array,
+    whole_file,
+    whole_number,
+)
 from esd.matching.confidence import Judgement
 
 _log = logging.getLogger(__name__)
@@ -169,12 +178,12 @@ def load_map(
     InputError
         If the file is damaged or fits other meshes.
     """
-    path = check_map_path(path)
-    if not path.is_file():
-        raise InputError(f"There is no file '{path}'.")
+    path = existing_file(check_map_path(path))
     try:
         index, distance, confidence = _parse(path)
     except InputError as error:
+        if str(path) in str(error):
+            raise
         raise InputError(f"'{path}' holds no map: {error}.") from error
     except (ValueError, OSError, KeyError, EOFError, OverflowError, csv.Error) as error:
         raise InputError(f"'{path}' holds no map: {' '.join(str(error).split())}.") from error
@@ -210,16 +219,30 @@ def _parse(path: Path) -> tuple[IntArray, FloatArray, FloatArray]:
     if suffix == ".csv":
         return _parse_table(path)
     if suffix == ".npy":
-        # mapped, so that a head which promises more than the file holds costs nothing
-        array = np.load(path, mmap_mode="r", allow_pickle=False)
+        array = read_array(path)
         if array.ndim != 1 or array.dtype.kind not in "iu":
             raise InputError(f"expected integers of shape (n,), got {array.dtype} {array.shape}")
         index = array.astype(np.int64)
     else:
-        index = np.array(_whole_text(path).split(), dtype=np.int64) - 1
+        index = _numbers(_whole_text(path)) - 1
     if len(index) == 0:
         raise InputError("it is empty")
     return index, np.full(len(index), np.nan), np.full(len(index), np.nan)
+
+
+def _numbers(text: str) -> IntArray:
+    """Whole numbers with white space between."""
+    words = text.split()
+    try:
+        return np.array(words, dtype=np.int64)
+    except (ValueError, OverflowError):
+        for number, line in enumerate(text.splitlines(), start=1):
+            for word in line.split():
+                try:
+                    whole_number(word)
+                except InputError as error:
+                    raise InputError(f"line {number}: {error}") from None
+        raise
 
 
 def _whole_text(path: Path) -> str:
@@ -240,11 +263,11 @@ def _parse_table(path: Path) -> tuple[IntArray, FloatArray, FloatArray]:
     source, target, distance, confidence = [], [], [], []
     try:
         for row in rows:
-            source.append(int(row["source"]))
-            target.append(int(row["target"]))
+            source.append(whole_number(row["source"]))
+            target.append(whole_number(row["target"]))
             distance.append(float(row.get("distance") or "nan"))
             confidence.append(float(row.get("confidence") or "nan"))
-    except (TypeError, ValueError) as error:
+    except (InputError, TypeError, ValueError) as error:
         # line 1 holds the names of the columns; the last list grows only with whole lines
         raise InputError(f"line {len(confidence) + 2}: {error}") from error
     order = np.argsort(np.array(source, dtype=np.int64), kind="stable")

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import csv
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from esd.common import FloatArray, InputError, IntArray
+from esd.common import FloatArray, InputError, IntArray, existing_file, whole_number
 from esd.matching.candidates import (
     Candidate,
     Rows,
@@ -74,21 +74,36 @@ def read_landmark_pairs(path: str | os.PathLike[str]) -> tuple[tuple[str, ...], 
     InputError
         If the file is missing or not so.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise InputError(f"There is no file '{path}'.")
+    path = existing_file(path)
+    names: list[str] = []
+    pairs: list[tuple[int, int]] = []
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = list(csv.DictReader(file, skipinitialspace=True))
-        if not rows or not {"source", "target"} <= set(rows[0]):
-            raise InputError(f"'{path}' must have the columns source,target; or give two files.")
-        pairs = np.array([[int(row["source"]), int(row["target"])] for row in rows])
-    except (csv.Error, UnicodeDecodeError, TypeError, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"'{path}' holds no pairs of vertices: {error}.") from error
-    names = tuple(row.get("name") or str(number) for number, row in enumerate(rows, start=1))
-    return names, pairs
+            rows = csv.DictReader(file, skipinitialspace=True)
+            if not {"source", "target"} <= set(rows.fieldnames or ()):
+                raise InputError(
+                    f"'{path}' must have the columns source,target; or give two files."
+                )
+            for row in rows:
+                where = f"'{path}', line {rows.line_num}"
+                pairs.append((_vertex(row, "source", where), _vertex(row, "target", where)))
+                names.append(row.get("name") or str(len(pairs)))
+    except (csv.Error, UnicodeDecodeError) as error:
+        raise InputError(f"'{path}' is no CSV file: {error}.") from error
+    if not pairs:
+        raise InputError(f"'{path}' lists no landmarks.")
+    return tuple(names), np.array(pairs, dtype=np.int64)
+
+
+def _vertex(row: Mapping[str, str | None], column: str, where: str) -> int:
+    """The vertex in a column of a row of a table."""
+    try:
+        vertex = whole_number(row[column])
+    except InputError as error:
+        raise InputError(f"{where}, {column}: {error}.") from error
+    if vertex < 0:
+        raise InputError(f"{where}, {column}: vertices are counted from 0; got {vertex}.")
+    return vertex
 
 
 def paired_landmarks(source: Landmarks, target: Landmarks) -> tuple[tuple[str, ...], IntArray]:

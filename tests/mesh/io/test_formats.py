@@ -21,7 +21,7 @@ def is_the_mesh(path, tolerance=1e-6):  # some hold 32 bits
 
 
 @pytest.mark.parametrize("suffix", ["vtk", "vtu", "msh"])
-def test_meshio_reads(tmp_path, suffix):
+def test_meshio_reads(tmp_path, suffix, capsys):
     meshio = pytest.importorskip("meshio", reason="meshio is not installed")
     options = {"file_format": "gmsh"} if suffix == "msh" else {}
     meshio.Mesh(MESH.vertices, [("triangle", MESH.faces)]).write(
@@ -31,6 +31,7 @@ def test_meshio_reads(tmp_path, suffix):
     (tmp_path / f"bad.{suffix}").write_text("hello\n")
     with pytest.raises(InputError, match=rf"bad.{suffix}'"):
         read_arrays(tmp_path / f"bad.{suffix}")
+    assert capsys.readouterr() == ("", "")  # meshio prints what is wrong
 
 
 def test_nibabel_reads(tmp_path):

@@ -25,6 +25,14 @@ def test_names_have_spaces_and_backslashes_and_images_are_converted(tmp_path, na
     np.testing.assert_array_equal(texture.coordinates, [[[0, 0], [1, 0], [0, 1]]])
 
 
+def test_images_of_impossible_names_are_missing(tmp_path):
+    (tmp_path / "m.obj").write_text(OBJ + "usemtl a\n" + FACE)
+    for name in ("x" * 300, "a\0b"):
+        (tmp_path / "my look.mtl").write_text(f"newmtl a\nmap_Kd {name}\n")
+        with pytest.raises(InputError, match=r"m.obj' has no image: '.*' is missing"):
+            read_texture(tmp_path / "m.obj")
+
+
 def test_several_images_are_refused(tmp_path):
     (tmp_path / "my look.mtl").write_text("newmtl a\nmap_Kd a.png\nnewmtl b\nmap_Kd b.png\n")
     (tmp_path / "m.obj").write_text(OBJ + "usemtl a\n" + FACE + "usemtl b\n" + FACE)

@@ -22,7 +22,8 @@ def read_by_meshio(path: Path) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
     """Triangles and quadrilaterals of a VTK, VTU or MSH file."""
     meshio = _module("meshio")
     try:
-        with contextlib.redirect_stdout(io.StringIO()):  # it prints what is wrong, and exits
+        # it prints what is wrong, and exits
+        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
             content = meshio.read(path)
     except SystemExit as error:
         raise InputError("meshio cannot read it; convert it to another format.") from error

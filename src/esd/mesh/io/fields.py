@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from esd.common import FloatArray, InputError, IntArray, whole_file
+from esd.common import FloatArray, InputError, IntArray, existing_file, read_array, whole_file
 
 _SUFFIXES = (".npy", ".csv", ".txt")
 
@@ -35,7 +35,7 @@ def read_labels(path: str | os.PathLike[str]) -> tuple[IntArray, tuple[str, ...]
     """
     path = _existing(path)
     if path.suffix.lower() == ".npy":
-        array = _load(path)
+        array = read_array(path)
         if array.ndim != 1 or array.dtype.kind not in "iu":
             raise InputError(
                 f"'{path}' must hold integers of shape (n,); got {array.dtype} {array.shape}."
@@ -80,7 +80,7 @@ def read_values(path: str | os.PathLike[str]) -> FloatArray:
     """
     path = _existing(path)
     if path.suffix.lower() == ".npy":
-        array = _load(path)
+        array = read_array(path)
         if array.ndim not in (1, 2) or array.dtype.kind not in "iuf":
             raise InputError(
                 f"'{path}' must hold numbers, (n,) or (n, d); got {array.dtype} {array.shape}."
@@ -113,10 +113,7 @@ def write_values(values: FloatArray, path: str | os.PathLike[str]) -> None:
 
 
 def _existing(path: str | os.PathLike[str]) -> Path:
-    path = check_field_path(path)
-    if not path.is_file():
-        raise InputError(f"There is no file '{path}'.")
-    return path
+    return existing_file(check_field_path(path))
 
 
 def _text(path: Path) -> str:
@@ -124,13 +121,6 @@ def _text(path: Path) -> str:
         return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(f"'{path}' is no text: {error}.") from error
-
-
-def _load(path: Path) -> npt.NDArray[Any]:
-    try:
-        return np.asarray(np.load(path, allow_pickle=False))
-    except (ValueError, EOFError, OSError) as error:
-        raise InputError(f"'{path}' holds no array: {error}.") from error
 
 
 def _save(values: npt.NDArray[Any], path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import binascii
 import json
+import os
 import struct
 from dataclasses import dataclass
 from pathlib import Path
@@ -178,7 +179,7 @@ def _resource(uri: str, path: Path) -> bytes:
     """Content of a `data:` URI, or of a file beside the document, whose name is percent-encoded."""
     if not uri.startswith("data:"):
         file = path.parent / unquote(uri)
-        if not file.is_file():
+        if not os.path.isfile(file):
             raise InputError(f"its file '{unquote(uri)}' is missing.")
         return file.read_bytes()
     head, _, data = uri.partition(",")

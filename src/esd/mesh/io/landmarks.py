@@ -16,7 +16,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from scipy.spatial import KDTree
 
-from esd.common import FloatArray, InputError, IntArray, whole_file
+from esd.common import FloatArray, InputError, IntArray, existing_file, whole_file
 from esd.mesh.mesh import Mesh, PointCloud
 
 _TOLERANCE = 0.05  # of the bounding diagonal: a click is off by this much at most
@@ -82,8 +82,7 @@ def read_landmarks(path: str | os.PathLike[str], mesh: Mesh | PointCloud) -> Lan
     """
     path = Path(path)
     read = LANDMARK_FORMATS[_format(path)][0]
-    if not path.is_file():
-        raise InputError(f"There is no file '{path}'.")
+    existing_file(path)
     try:
         rows = read(path.read_text(encoding="utf-8-sig"))
     except InputError as error:

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from esd.common import InputError, whole_file
+from esd.common import InputError, existing_file, whole_file
 from esd.mesh.io.extra import read_3mf, read_by_meshio, read_freesurfer, read_gifti
 from esd.mesh.io.gltf import read_gltf
 from esd.mesh.io.obj import obj_text, read_obj
@@ -154,8 +154,7 @@ def read_arrays(path: str | os.PathLike[str]) -> tuple[npt.NDArray[Any], npt.NDA
     if suffix not in FORMATS + POINT_FORMATS:
         known = ", ".join(FORMATS + POINT_FORMATS)
         raise InputError(f"'{path}' is not a mesh file; expected one of {known}.")
-    if not path.is_file():
-        raise InputError(f"There is no file '{path}'.")
+    existing_file(path)
     if path.stat().st_size > _LARGEST_FILE:
         raise InputError(f"'{path}' is larger than 4 GiB; simplify the mesh first.")
     read = (_MESH_FORMATS | _POINT_FORMATS)[suffix].read

@@ -143,7 +143,7 @@ def _obj_texture(path: Path) -> tuple[FloatArray, bytes, str]:
     (image,) = names
     if image is None:
         raise InputError(f"'{path}' has no image: its material names none.")
-    if not image.is_file():
+    if not os.path.isfile(image):
         raise InputError(f"'{path}' has no image: '{image}' is missing.")
     return content.coordinates[index], image.read_bytes(), str(image)
 
@@ -153,7 +153,7 @@ def _material_images(content: ObjFile, path: Path) -> dict[str, Path]:
     images: dict[str, Path] = {}
     for library in content.libraries:
         file = _beside(path, library)
-        if not file.is_file():
+        if not os.path.isfile(file):
             continue
         name = ""
         for line in file.read_text(encoding="utf-8-sig", errors="replace").splitlines():
@@ -171,7 +171,7 @@ def _material_images(content: ObjFile, path: Path) -> dict[str, Path]:
 def _beside(file: Path, name: str) -> Path:
     """A file that another one names; programs for Windows write backslashes."""
     found = file.parent / name
-    return found if found.is_file() else file.parent / name.replace("\\", "/")
+    return found if os.path.isfile(found) else file.parent / name.replace("\\", "/")
 
 
 def _glb_texture(path: Path) -> tuple[FloatArray, bytes, str]:
