@@ -47,15 +47,20 @@ def is_positive(value: object) -> bool:
     return is_number and 0 < value < float("inf")  # type: ignore[operator]
 
 
+def is_file(path: str | os.PathLike[str]) -> bool:
+    """Whether there is a file; names that no file can have, too long or with a zero, are none."""
+    return os.path.isfile(path)  # noqa: PTH113 (pathlib raises on such names)
+
+
 def existing_file(path: str | os.PathLike[str]) -> Path:
     """The path, if there is a file.
 
     Raises
     ------
     InputError
-        If there is none, be it that there cannot be one of that name.
+        If there is none.
     """
-    if not os.path.isfile(path):  # where pathlib asks the system, and raises on names too long
+    if not is_file(path):
         raise InputError(f"There is no file '{os.fspath(path)}'.")
     return Path(path)
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from esd.common import InputError, existing_file
+from esd.common import InputError, existing_file, is_file
 from esd.learning.model import Model
 from esd.matching.correspondence import check_map_path, save_map
 from esd.matching.features import Features
@@ -110,7 +110,7 @@ def read_pairs_of_files(
         default = Path(folder) / f"{Path(source).stem}-{Path(target).stem}.csv"
         written = check_map_path(path.parent / output if output else default)
         files = (path.parent / landmarks[0], path.parent / landmarks[1]) if any(landmarks) else None
-        missing = [file for file in files or () if not os.path.isfile(file)]
+        missing = [file for file in files or () if not is_file(file)]
         if missing:
             raise InputError(f"'{path}', pair {number}: there is no file '{missing[0]}'.")
         pairs.append(PairOfFiles(path.parent / source, path.parent / target, written, files))

@@ -232,16 +232,16 @@ def _parse(path: Path) -> tuple[IntArray, FloatArray, FloatArray]:
 
 def _numbers(text: str) -> IntArray:
     """Whole numbers with white space between."""
-    words = text.split()
     try:
-        return np.array(words, dtype=np.int64)
-    except (ValueError, OverflowError):
-        for number, line in enumerate(text.splitlines(), start=1):
-            for word in line.split():
-                try:
+        return np.array(text.split(), dtype=np.int64)
+    except (ValueError, OverflowError) as error:
+        number = 0
+        try:
+            for number, line in enumerate(text.splitlines(), start=1):
+                for word in line.split():
                     whole_number(word)
-                except InputError as error:
-                    raise InputError(f"line {number}: {error}") from None
+        except InputError as found:
+            raise InputError(f"line {number}: {found}") from error
         raise
 
 

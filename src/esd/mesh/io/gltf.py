@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import binascii
 import json
-import os
 import struct
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from esd.common import FloatArray, InputError, IntArray
+from esd.common import FloatArray, InputError, IntArray, is_file
 
 _MOST_VERTICES = 5 * 10**7  # of a scene with all its instances
 _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -179,7 +178,7 @@ def _resource(uri: str, path: Path) -> bytes:
     """Content of a `data:` URI, or of a file beside the document, whose name is percent-encoded."""
     if not uri.startswith("data:"):
         file = path.parent / unquote(uri)
-        if not os.path.isfile(file):
+        if not is_file(file):
             raise InputError(f"its file '{unquote(uri)}' is missing.")
         return file.read_bytes()
     head, _, data = uri.partition(",")

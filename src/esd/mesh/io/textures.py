@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from esd.common import FloatArray, InputError, install_hint, whole_file
+from esd.common import FloatArray, InputError, install_hint, is_file, whole_file
 from esd.mesh.io.gltf import gltf_image, read_gltf
 from esd.mesh.io.meshes import read_mesh
 from esd.mesh.io.obj import ObjFile, read_obj
@@ -143,7 +143,7 @@ def _obj_texture(path: Path) -> tuple[FloatArray, bytes, str]:
     (image,) = names
     if image is None:
         raise InputError(f"'{path}' has no image: its material names none.")
-    if not os.path.isfile(image):
+    if not is_file(image):
         raise InputError(f"'{path}' has no image: '{image}' is missing.")
     return content.coordinates[index], image.read_bytes(), str(image)
 
@@ -153,7 +153,7 @@ def _material_images(content: ObjFile, path: Path) -> dict[str, Path]:
     images: dict[str, Path] = {}
     for library in content.libraries:
         file = _beside(path, library)
-        if not os.path.isfile(file):
+        if not is_file(file):
             continue
         name = ""
         for line in file.read_text(encoding="utf-8-sig", errors="replace").splitlines():
@@ -171,7 +171,7 @@ def _material_images(content: ObjFile, path: Path) -> dict[str, Path]:
 def _beside(file: Path, name: str) -> Path:
     """A file that another one names; programs for Windows write backslashes."""
     found = file.parent / name
-    return found if os.path.isfile(found) else file.parent / name.replace("\\", "/")
+    return found if is_file(found) else file.parent / name.replace("\\", "/")
 
 
 def _glb_texture(path: Path) -> tuple[FloatArray, bytes, str]:
