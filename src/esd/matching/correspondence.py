@@ -235,14 +235,17 @@ def _numbers(text: str) -> IntArray:
     try:
         return np.array(text.split(), dtype=np.int64)
     except (ValueError, OverflowError) as error:
-        number = 0
-        try:
-            for number, line in enumerate(text.splitlines(), start=1):
-                for word in line.split():
-                    whole_number(word)
-        except InputError as found:
-            raise InputError(f"line {number}: {found}") from error
-        raise
+        for number, line in enumerate(text.splitlines(), start=1):
+            _check_numbers(line, number)
+        raise InputError("expected whole numbers") from error
+
+
+def _check_numbers(line: str, number: int) -> None:
+    try:
+        for word in line.split():
+            whole_number(word)
+    except InputError as error:
+        raise InputError(f"line {number}: {error}") from error
 
 
 def _whole_text(path: Path) -> str:
