@@ -75,7 +75,7 @@ def read_array(path: str | os.PathLike[str]) -> npt.NDArray[Any]:
     """
     path = existing_file(path)
     try:
-        return np.load(path, mmap_mode="r", allow_pickle=False)  # type: ignore[no-any-return]
+        return np.load(path, mmap_mode="r", allow_pickle=False)
     except Exception as error:  # numpy parses the header as Python, which fails in many ways
         raise InputError(f"'{path}' holds no array: {' '.join(str(error).split())}.") from error
 
