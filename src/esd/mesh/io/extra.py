@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from esd.common import InputError, install_hint
-from esd.mesh.convert import as_arrays
+from esd.mesh.objects import object_arrays
 
 _LARGEST = 2**30  # bytes that a compressed file may unpack to
 
@@ -27,7 +27,7 @@ def read_by_meshio(path: Path) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
             content = meshio.read(path)
     except SystemExit as error:
         raise InputError("meshio cannot read it; convert it to another format.") from error
-    return as_arrays(content)
+    return object_arrays(content)
 
 
 def read_gifti(path: Path) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:

@@ -13,7 +13,6 @@ from urllib.parse import unquote, unquote_to_bytes
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 from esd.common import FloatArray, InputError, IntArray, is_file
 
@@ -216,6 +215,8 @@ def _matrix(node: dict[str, Any]) -> FloatArray:
         return np.array(node["matrix"], dtype=float).reshape(4, 4).T  # stored by columns
     result = np.eye(4)
     if "rotation" in node:
+        from scipy.spatial.transform import Rotation  # slow to import
+
         result[:3, :3] = Rotation.from_quat(node["rotation"]).as_matrix()
     result[:3, :3] *= np.array(node.get("scale", [1, 1, 1]), dtype=float)
     result[:3, 3] = node.get("translation", [0, 0, 0])
