@@ -1,4 +1,5 @@
 import os
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -75,3 +76,17 @@ def real_data() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no real shapes at '{folder}'; name their folder in ESD_DATA")
     return folder
+
+
+@pytest.fixture(scope="session")
+def browser():
+    """A headless Chromium, which draws without a graphics card."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    path = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")
+    if path is None:
+        pytest.skip("no Chromium on this machine; name one in CHROMIUM")
+    software = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+    with playwright.sync_playwright() as run:
+        started = run.chromium.launch(executable_path=path, args=software)
+        yield started
+        started.close()

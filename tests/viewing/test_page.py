@@ -1,15 +1,12 @@
 import json
-import os
 import re
-import shutil
 
 import numpy as np
 import pytest
 
 from esd.common import InputError
 from esd.matching.correspondence import Correspondence
-from esd.mesh.mesh import Mesh
-from esd.mesh.shapes import grid, icosphere, torus
+from esd.mesh.shapes import icosphere, torus
 from esd.viewing.page import Page, view
 
 SOURCE, TARGET = icosphere(3), icosphere(4)
@@ -23,7 +20,16 @@ def page() -> Page:
     distance = np.where(index >= 0, 0.1, np.inf)
     match = Correspondence(index, distance, np.linspace(0, 1, len(index)))
     error = np.linspace(0, 0.4, len(index))
-    return view(SOURCE, TARGET, match, error=error, source_name="<a>&b", target_name="c", up="y")
+    return view(
+        SOURCE,
+        TARGET,
+        match,
+        error=error,
+        source_name="<a>&b",
+        target_name="c",
+        model="sphere-model",
+        up="y",
+    )
 
 
 def test_page_holds_everything_and_asks_for_nothing(page):
@@ -38,36 +44,9 @@ def test_page_holds_everything_and_asks_for_nothing(page):
     assert "<iframe srcdoc=" in page._repr_html_()
 
 
-def test_up_is_guessed_from_the_longest_side():
-    tall = grid(5, 4)
-    same = Correspondence(np.arange(20), np.zeros(20), np.ones(20))
-    for order, up in (((0, 1, 2), "y"), ((2, 1, 0), "z")):
-        mesh = Mesh(tall.vertices[:, order] * (1 + np.arange(3)), tall.faces)
-        assert f'"up": "{up}"' in view(mesh, mesh, same).html
-
-
-def test_what_cannot_be_shown_is_refused(tmp_path, page):
-    mesh = torus(7, 5)
-    match = Correspondence(np.arange(35), np.zeros(35), np.ones(35))
-    with pytest.raises(InputError, match="`up` must be"):
-        view(mesh, mesh, match, up="w")
-    with pytest.raises(InputError, match=r"`error` must have shape \(35,\)"):
-        view(mesh, mesh, match, error=np.zeros(3))
+def test_a_page_has_the_name_of_one(tmp_path, page):
     with pytest.raises(InputError, match=r"ends in .html"):
         page.save(tmp_path / "page.pdf")
-
-
-@pytest.fixture(scope="module")
-def browser():
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    path = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")
-    if path is None:
-        pytest.skip("no Chromium on this machine; name one in CHROMIUM")
-    software = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-    with playwright.sync_playwright() as run:
-        started = run.chromium.launch(executable_path=path, args=software)
-        yield started
-        started.close()
 
 
 class Opened:
@@ -82,8 +61,14 @@ class Opened:
         self.tab.goto(path.as_uri())
         self.tab.wait_for_selector("html[data-ready]")
 
+    def settle(self) -> None:
+        """Wait until what is asked for is drawn."""
+        frame = "new Promise((done) => requestAnimationFrame(() => setTimeout(done)))"
+        for _ in range(3):
+            self.tab.evaluate(f"() => {frame}")
+
     def readout(self) -> str:
-        self.tab.wait_for_timeout(150)
+        self.settle()
         return self.tab.inner_text("#readout")
 
     def picture(self) -> np.ndarray:
@@ -91,7 +76,7 @@ class Opened:
 
         from PIL import Image
 
-        self.tab.wait_for_timeout(150)
+        self.settle()
         return np.asarray(Image.open(BytesIO(self.tab.screenshot())).convert("RGB")).astype(int)
 
 
@@ -102,61 +87,170 @@ def saved(page, tmp_path):
 
 
 def test_page_in_a_browser(browser, saved):
-    opened = Opened(browser, saved, viewport={"width": 1000, "height": 600}, color_scheme="light")
+    # 270 pixels are the panel's
+    opened = Opened(browser, saved, viewport={"width": 1070, "height": 600}, color_scheme="light")
     tab = opened.tab
     first = opened.picture()
-    for side in (first[:500, :500], first[:500, 500:]):
+    for side in (first[50:550, :400], first[50:550, 400:800]):
         shape = np.abs(side - side[-1, 0]).sum(axis=2) > 30
         assert 0.1 < shape.mean() < 0.9
         assert len(np.unique(side[shape], axis=0)) > 500  # many colours
 
     # the middle of each half looks at the vertex with the largest z, which is the same on both
-    tab.mouse.move(250, 255)
+    tab.mouse.move(200, 300)
     on_source = re.fullmatch(
-        r"source vertex (\d+) → target vertex (\d+) · confidence [\d.]+ · error [\d.]+ % of √area",
+        r"source vertex (\d+) → target vertex (\d+) · confidence [\d.]+ · error [\d.]+ % of √area"
+        r" · distance 0.10 · stretch -?[\d.]+ log₂ of area",
         opened.readout(),
     )
     assert on_source[1] == on_source[2]
     assert SOURCE.vertices[int(on_source[1]), 2] > 0.95
-    tab.mouse.move(750, 255)
+    tab.mouse.move(600, 300)
     assert opened.readout().startswith(("source vertex", "no source vertex"))
-    tab.mouse.move(2, 2)
+    tab.mouse.move(2, 598)
     assert opened.readout() == ""
 
     before = opened.picture()
     tab.get_by_text("Error", exact=True).click()
     assert np.abs(opened.picture() - before).mean() > 1
-    assert tab.is_visible("#legend")
+    assert tab.is_visible("#scale")
     tab.keyboard.press("2")
     assert tab.is_checked("input[value=confidence]")
     tab.keyboard.press("1")
     tab.keyboard.press("l")
     assert tab.inner_text("#line-count") == "60"
     with_lines = opened.picture()
-    assert np.abs(with_lines - before)[:500, 480:520].max() > 50  # between the shapes
+    assert np.abs(with_lines - before)[:500, 380:420].max() > 50  # between the shapes
     tab.keyboard.press("l")
     tab.keyboard.press("ArrowLeft")
     turned = opened.picture()
-    assert np.abs(turned - before)[:500, :500].max() > 20
-    assert np.abs(turned - before)[:500, 500:].max() > 20  # the cameras are linked
+    assert np.abs(turned - before)[:500, :400].max() > 20
+    assert np.abs(turned - before)[:500, 400:800].max() > 20  # the cameras are linked
     tab.keyboard.press("r")
-    np.testing.assert_array_equal(opened.picture()[:500], before[:500])
+    np.testing.assert_array_equal(opened.picture()[:590, :800], before[:590, :800])
     tab.keyboard.press("t")
-    assert opened.picture()[:500, 500].mean() < 60 < before[:500, 500].mean()
+    assert opened.picture()[:500, 400].mean() < 60 < before[:500, 400].mean()
     assert opened.complaints == []
+
+
+def test_dragging_turns_over_the_pole_and_every_axis_can_point_up(browser, saved):
+    opened = Opened(browser, saved, viewport={"width": 1070, "height": 600})
+    tab = opened.tab
+    seen = set()
+    for axis in ("x", "-x", "y", "-y", "z", "-z"):
+        tab.select_option("#up", axis)
+        tab.mouse.move(200, 300)
+        seen.add(opened.readout())
+        tab.mouse.move(2, 598)
+    assert len(seen) == 2, (
+        seen
+    )  # the shapes are seen from the front: z up shows another side than y up
+    tab.select_option("#up", "y")
+    for _ in range(4):  # a quarter turn each
+        tab.mouse.move(200, 200)
+        tab.mouse.down()
+        tab.mouse.move(200, 350, steps=5)
+        tab.mouse.up()
+        tab.mouse.move(200, 300)
+        seen.add(opened.readout())
+        tab.keyboard.press("Escape")
+    assert len(seen) == 6  # a camera that stops at the pole would see it again
+    assert opened.complaints == []
+
+
+def test_the_scale_is_fixed_until_it_is_moved(browser, saved):
+    opened = Opened(browser, saved, viewport={"width": 1070, "height": 700})
+    tab = opened.tab
+    tab.keyboard.press("3")
+    assert tab.inner_text("#lowest-value") == "0.0"
+    assert tab.inner_text("#highest-value") == "25.0 % of √area"
+    assert tab.locator("#histogram rect").count() == 40
+    before = opened.picture()
+    tab.locator("#highest").fill("0.1")
+    assert tab.inner_text("#highest-value") == "10.0 % of √area"
+    after = opened.picture()
+    assert np.abs(after - before)[:, :400].mean() > 1
+    assert np.abs(after - before)[:, 400:800].mean() > 1  # the target has the values, too
+    tab.click("#fit")
+    assert tab.inner_text("#lowest-value") == "0.8"  # the 2nd percentile of 0 to 40
+    tab.click("#fix")
+    np.testing.assert_array_equal(opened.picture()[:600, :800], before[:600, :800])
+
+
+def test_verdict_figures_and_worst_places_are_shown(browser, saved):
+    opened = Opened(browser, saved, viewport={"width": 1070, "height": 700})
+    tab = opened.tab
+    assert re.fullmatch(
+        r"(Failed|Doubtful) about \d+% within 5 % of the diameter", tab.inner_text("#verdict")
+    )
+    assert tab.is_visible("#warning")
+    assert "sphere-model" in tab.inner_text("#statistics")
+    assert f"{len(SOURCE.vertices) - 1} of {len(SOURCE.vertices)} vertices" in tab.inner_text(
+        "#statistics"
+    )
+    places = tab.locator("#place-list button")
+    assert 0 < places.count() <= 8
+    vertex = int(re.search(r"vertex (\d+)", places.first.inner_text())[1])
+    places.first.click()
+    tab.wait_for_timeout(700)
+    assert opened.readout().startswith(f"source vertex {vertex} →")
+    tab.keyboard.press("Escape")
+    tab.mouse.move(400, 350)
+    tab.mouse.move(200, 350)  # it is in the middle now
+    assert opened.readout().startswith(f"source vertex {vertex} →")
+
+
+def test_what_has_the_focus_is_seen(browser, saved):
+    opened = Opened(browser, saved, viewport={"width": 1070, "height": 700})
+    tab = opened.tab
+    seen = []
+    for _ in range(12):
+        tab.keyboard.press("Tab")
+        style = tab.evaluate(
+            "() => { const e = document.activeElement; const s = getComputedStyle(e.type === 'radio'"
+            " ? e.nextElementSibling : e); return [e.id || e.tagName, s.outlineStyle, s.outlineWidth]; }"
+        )
+        seen.append(style[0])
+        assert style[1:] == ["solid", "3px"], style
+    assert "view" in seen
+    unnamed = tab.evaluate(
+        "() => [...document.querySelectorAll('input, select, button')]"
+        ".filter((e) => !(e.labels?.length || e.getAttribute('aria-label') || e.textContent.trim())).length"
+    )
+    assert unnamed == 0
 
 
 def test_page_on_a_phone(browser, saved):
     phone = {"viewport": {"width": 390, "height": 844}, "is_mobile": True, "has_touch": True}
     opened = Opened(browser, saved, **phone)
-    box = opened.tab.locator("#controls").bounding_box()
-    assert box["x"] >= 0
-    assert box["x"] + box["width"] <= 390
-    opened.tab.touchscreen.tap(195, 160)
+    tab = opened.tab
+    assert tab.is_hidden("#panel")
+    tab.touchscreen.tap(195, 220)
     assert re.match(r"source vertex \d+ → target vertex \d+", opened.readout())
-    opened.tab.locator("#morph").fill("50")
-    assert opened.tab.inner_text("#morph-share") == "50%"
+    tab.click("#panel-button")
+    box = tab.locator("#panel").bounding_box()
+    assert (box["x"], box["width"]) == (0, 390)
+    assert box["height"] < 0.5 * 844
+    tab.locator("#morph").fill("50")
+    assert tab.inner_text("#morph-share") == "50%"
     assert opened.complaints == []
+
+
+def test_a_phone_on_its_side_shows_the_shapes(browser, saved):
+    phone = {"viewport": {"width": 844, "height": 390}, "is_mobile": True, "has_touch": True}
+    opened = Opened(browser, saved, **phone)
+    assert opened.tab.locator("#view").bounding_box()["width"] == 844
+    opened.tab.click("#panel-button")
+    assert opened.tab.locator("#view").bounding_box()["width"] >= 0.7 * 844
+    assert opened.tab.locator("#view").bounding_box()["height"] == 390
+
+
+def test_a_browser_without_webgl_says_so(browser, saved):
+    tab = browser.new_context(offline=True).new_page()
+    tab.add_init_script("HTMLCanvasElement.prototype.getContext = () => null")
+    tab.goto(saved.as_uri())
+    tab.wait_for_selector("#failure")
+    assert "WebGL 2" in tab.inner_text("#failure")
 
 
 def test_page_of_a_map_without_confidence_offers_none(browser, tmp_path):
@@ -166,6 +260,7 @@ def test_page_of_a_map_without_confidence_offers_none(browser, tmp_path):
     path = tmp_path / "page.html"
     view(mesh, mesh, Correspondence(np.arange(count), unknown, unknown)).save(path)
     opened = Opened(browser, path)
-    assert opened.tab.is_hidden("input[value=confidence] + span")
-    assert opened.tab.is_hidden("input[value=error] + span")
+    modes = opened.tab.locator("#modes input").evaluate_all("all => all.map((e) => e.value)")
+    assert modes == ["colours", "stretch"]
+    assert opened.tab.is_hidden("#verdict")
     assert opened.complaints == []

@@ -1,4 +1,4 @@
-// The parts of three.js that viewer.js uses, as one global object.
+// The parts of three.js that the viewer uses, as one global object.
 export {
   AmbientLight,
   BufferAttribute,
@@ -16,5 +16,5 @@ export {
   Vector3,
   WebGLRenderer,
 } from "three";
-export { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
+export { TrackballControls } from "three/examples/jsm/controls/TrackballControls.js";
 export { acceleratedRaycast, MeshBVH } from "three-mesh-bvh";

@@ -161,7 +161,7 @@ def match(
     if view:
         from esd.cli.view import write_page
 
-        write_page((source, drawn[0]), (target, drawn[1]), result, page)
+        write_page((source, drawn[0]), (target, drawn[1]), result, page, model=loaded.name)
         typer.launch(str(page.resolve()))
 
 

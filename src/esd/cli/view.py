@@ -37,7 +37,8 @@ def view(
     truth: TruthOption = None,
     points: PointsOption = None,
     up: Annotated[
-        str | None, typer.Option(help="The axis that points up: x, y or z; guessed by default.")
+        str | None,
+        typer.Option(help="The axis that points up: x, -x, y, -y, z or -z; guessed by default."),
     ] = None,
     open_page: Annotated[bool, typer.Option("--open", help="Open the page in a browser.")] = False,
     force: ForceOption = False,
@@ -48,14 +49,15 @@ def view(
     """
     from esd.matching.correspondence import load_map
     from esd.viewing.page import check_page_path
+    from esd.viewing.scene import AXES
 
     path = check_page_path(output or Path(f"{source.stem}-{target.stem}.html"))
     inputs = [source, target, map, *([truth] if truth else []), *(points or ())]
     destination(path, force=force, inputs=inputs)
     if truth and points:
         raise typer.BadParameter("Give --truth or --points, not both.")
-    if up not in (None, "x", "y", "z"):
-        raise typer.BadParameter(f"--up takes x, y or z; got '{up}'.")
+    if up is not None and up not in AXES:
+        raise typer.BadParameter(f"--up takes one of {', '.join(AXES)}; got '{up}'.")
     source_mesh, target_mesh = read_drawable(source), read_drawable(target)
     counts = {
         "source_count": len(source_mesh.vertices),
@@ -77,6 +79,7 @@ def write_page(
     path: Path,
     *,
     error: FloatArray | None = None,
+    model: str | None = None,
     up: str | None = None,
 ) -> None:
     """Write the page of a map between two mesh files."""
@@ -87,7 +90,7 @@ def write_page(
         key: os.fsencode(file.name).decode("utf-8", errors="replace")
         for key, file in (("source_name", source[0]), ("target_name", target[0]))
     }
-    page_of(source[1], target[1], match, error=error, up=up, **names).save(path)
+    page_of(source[1], target[1], match, error=error, model=model, up=up, **names).save(path)
 
 
 def true_error(

@@ -165,16 +165,35 @@ def aligned_image(source: Mesh, target: Mesh, match: Correspondence) -> FloatArr
     InputError
         If the map does not fit the meshes, or has no match.
     """
+    rotation = aligning_rotation(source, target, match)
+    matched = match.is_matched()
+    here, there = source.vertices[matched], target.vertices[match.target_index[matched]]
+    weights = _shares_of_area(source)[matched]
+    weights /= weights.sum()
+    moved = (there - weights @ there) @ rotation.T + weights @ here
+    _, nearest = KDTree(here).query(source.vertices)
+    return np.asarray(source.vertices + (moved - here)[nearest])
+
+
+def aligning_rotation(source: Mesh, target: Mesh, match: Correspondence) -> FloatArray:
+    """The rotation (3, 3) that turns the target onto the source, columns to columns.
+
+    It minimises the squared distances of matched points, weighted by area (Kabsch 1976).
+
+    Raises
+    ------
+    InputError
+        If the map does not fit the meshes, or has no match.
+    """
     _check_fit(source, target, match)
     matched = match.is_matched()
     here, there = source.vertices[matched], target.vertices[match.target_index[matched]]
-    weights = vertex_areas(source)[matched]
-    weights = weights / weights.sum() if weights.any() else np.full(len(here), 1 / len(here))
-    here_centre, there_centre = weights @ here, weights @ there
-    rotation, _ = Rotation.align_vectors(here - here_centre, there - there_centre, weights)
-    moved = rotation.apply(there - there_centre) + here_centre
-    _, nearest = KDTree(here).query(source.vertices)
-    return np.asarray(source.vertices + (moved - here)[nearest])
+    weights = _shares_of_area(source)[matched]
+    weights /= weights.sum()
+    if len(here) == 1:
+        return np.eye(3)
+    rotation, _ = Rotation.align_vectors(here - weights @ here, there - weights @ there, weights)
+    return np.asarray(rotation.as_matrix())
 
 
 def in_between(
@@ -256,6 +275,12 @@ def _faces_at_images(source: Mesh, target: Mesh, image: IntArray) -> sparse.csr_
         (np.ones(3 * len(face)), (image[face].ravel(), np.repeat(face, 3))),
         shape=(len(target.vertices), len(image)),
     )
+
+
+def _shares_of_area(mesh: Mesh) -> FloatArray:
+    """Areas of the vertices, none of them zero, so that some are left of any choice."""
+    areas = vertex_areas(mesh)
+    return np.asarray(areas + 1e-9 * max(areas.sum(), 1e-300))
 
 
 def _check_fit(source: Mesh, target: Mesh, match: Correspondence) -> None:

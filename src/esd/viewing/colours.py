@@ -20,16 +20,19 @@ VIRIDIS = (
 def position_colours(mesh: Mesh) -> FloatArray:
     """A colour of each vertex, red, green and blue (n, 3) from 0 to 1, smooth over space.
 
-    Along the longest side of the bounding box the lightness changes, along the second blue turns
-    into yellow, which nearly all people can tell apart, and along the third green into red.
+    Along the longest side of the bounding box blue turns into yellow by way of red, and along the
+    second and less along the third the lightness changes: nearly all people can tell these apart,
+    and nothing is grey.
     """
     extents = np.ptp(mesh.vertices, axis=0)
     order = np.argsort(-extents, kind="stable")
     relative = (mesh.vertices - mesh.vertices.min(axis=0)) / np.maximum(extents, 1e-300)
     # half by rank, so that colours differ most where most of the shape is
     rank = np.argsort(np.argsort(mesh.vertices, axis=0, kind="stable"), axis=0) / len(relative)
-    light, blue_yellow, green_red = ((relative + rank) / 2)[:, order].T
-    return oklab_to_rgb(0.4 + 0.45 * light, 0.24 * green_red - 0.12, 0.32 * blue_yellow - 0.17)
+    first, second, third = ((relative + rank) / 2)[:, order].T
+    hue = np.deg2rad(-100 + 200 * first)  # in Oklab's plane: blue, through red, to yellow
+    lightness = 0.43 + 0.16 * first + 0.24 * second + 0.06 * third
+    return oklab_to_rgb(lightness, 0.14 * np.cos(hue), 0.16 * np.sin(hue))
 
 
 def oklab_to_rgb(lightness: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:

@@ -10,18 +10,13 @@ from importlib import resources
 from pathlib import Path
 from string import Template
 
-import numpy as np
-import numpy.typing as npt
-
-from esd.common import FloatArray, InputError, IntArray, whole_file
+from esd.common import FloatArray, InputError, whole_file
 from esd.matching.correspondence import Correspondence
-from esd.matching.transfer import aligned_image
-from esd.mesh.convert import MeshLike, as_mesh
-from esd.mesh.geometry import is_referenced, surface_area
-from esd.mesh.mesh import Mesh
-from esd.viewing.colours import UNMATCHED, VIRIDIS, position_colours
+from esd.mesh.convert import MeshLike
+from esd.viewing.scene import Scene, scene
 
-_LINES = 300
+MODULES = ("data.js", "colours.js", "shape.js", "viewer.js", "panel.js")
+"""The viewer, as modules that import each other by the names `esd/…`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,13 +62,15 @@ def view(
     error: FloatArray | None = None,
     source_name: str = "",
     target_name: str = "",
+    model: str | None = None,
     up: str | None = None,
 ) -> Page:
     """A page on which both shapes turn together and every match can be looked at.
 
-    The shapes are shown at equal area. The target has colours by position, the map brings them to
-    the source. The page also shows confidence, error, lines between matched points, and the source
-    on its way to its image on the target.
+    The shapes are shown at equal area, the target turned rigidly onto the source by the map. The
+    target has colours by position, the map transfers them to the source. The page also shows the
+    verdict, confidence, error and stretch with their histograms, the worst places, lines between
+    matched points, and the source on its way to its image on the target.
 
     Parameters
     ----------
@@ -83,105 +80,61 @@ def view(
         Geodesic error at each source vertex over √area of the target; NaN where unknown.
     source_name, target_name
         Shown above the shapes.
+    model
+        Name of the model that the map is by, shown among the figures.
     up
-        The axis, `x`, `y` or `z`, that points up; by default z where the source is longest along
-        z, otherwise y.
+        The axis, one of `x`, `-x`, `y`, `-y`, `z` and `-z`, that points up; by default z where the
+        source is longest along z, otherwise y.
 
     Raises
     ------
     InputError
         If the map or the errors do not fit the meshes, or the axis is another.
     """
-    source, target = as_mesh(source), as_mesh(target)
-    if up is None:
-        extents = np.ptp(source.vertices, axis=0)
-        up = "z" if extents.argmax() == 2 else "y"
-    if up not in ("x", "y", "z"):
-        raise InputError(f"`up` must be 'x', 'y' or 'z'; got '{up}'.")
-    if error is not None and error.shape != (len(source.vertices),):
-        raise InputError(
-            f"`error` must have shape ({len(source.vertices)},), a value for each source vertex; "
-            f"got {error.shape}."
-        )
-    source, target = _of_unit_area(source), _of_unit_area(target)
-    arrays: dict[str, npt.NDArray[np.generic]] = {
-        "source_positions": source.vertices.astype("<f4"),
-        "target_positions": target.vertices.astype("<f4"),
-        "source_faces": source.faces.astype("<u4"),
-        "target_faces": target.faces.astype("<u4"),
-        "image": aligned_image(source, target, match).astype("<f4"),
-        "map": match.target_index.astype("<i4"),
-        "confidence": match.confidence.astype("<f4"),
-        "line_order": _spread_matches(source, match).astype("<u4"),
-        "target_colours": np.round(255 * position_colours(target)).astype("<u1"),
-    }
-    top = 0.0
-    if error is not None:
-        arrays = {"error": error.astype("<f4"), **arrays}
-        top = float(np.nanquantile(error, 0.95)) if np.isfinite(error).any() else 0.0
-    layout, encoded = _packed(arrays)
-    meta = {
-        "source": source_name,
-        "target": target_name,
-        "up": up,
-        "radius": max(float(np.linalg.norm(m.vertices, axis=1).max()) for m in (source, target)),
-        "error_top": top or 1.0,
-        "unmatched": UNMATCHED,
-        "ramp": [[int(stop[i : i + 2], 16) / 255 for i in (0, 2, 4)] for stop in VIRIDIS],
-        "arrays": layout,
-    }
-    title = " → ".join(name for name in (source_name, target_name) if name) or "correspondence"
-    parts = resources.files("esd.viewing") / "page"
-    return Page(
-        Template((parts / "page.html").read_text(encoding="utf-8")).substitute(
-            title=_escaped(title),
-            style=(parts / "viewer.css").read_text(encoding="utf-8"),
-            meta=json.dumps(meta, ensure_ascii=True).replace("<", "\\u003c"),
-            arrays=encoded,
-            library=(parts / "three.min.js").read_text(encoding="utf-8"),
-            viewer=(parts / "viewer.js").read_text(encoding="utf-8"),
+    return page_of(
+        scene(
+            source,
+            target,
+            match,
+            error=error,
+            source_name=source_name,
+            target_name=target_name,
+            model=model,
+            up=up,
         )
     )
 
 
-def _of_unit_area(mesh: Mesh) -> Mesh:
-    """The mesh with unit area, its bounding box centred; vertices without a face are drawn in."""
-    referenced = is_referenced(mesh)
-    used = mesh.vertices[referenced]
-    centre = (used.min(axis=0) + used.max(axis=0)) / 2
-    vertices = np.where(referenced[:, None], mesh.vertices - centre, 0)
-    return Mesh(vertices / np.sqrt(surface_area(mesh)), mesh.faces)
+def page_of(shown: Scene) -> Page:
+    """The page that shows a scene."""
+    names = (shown.meta["source"], shown.meta["target"])
+    title = " → ".join(name for name in names if name) or "correspondence"
+    meta, content = shown.packed()
+    # modules in one file: each is named by its content
+    sources = {f"esd/{name}": _as_address(part(name)) for name in MODULES}
+    return Page(
+        Template(part("page.html")).substitute(
+            title=escaped(title),
+            style=part("viewer.css"),
+            stage=part("stage.html"),
+            panel=part("panel.html"),
+            modules=json.dumps({"imports": sources}),
+            meta=json.dumps(meta, ensure_ascii=True).replace("<", "\\u003c"),
+            arrays=base64.b64encode(content).decode("ascii"),
+            library=part("three.min.js"),
+        )
+    )
 
 
-def _spread_matches(source: Mesh, match: Correspondence) -> IntArray:
-    """At most 300 matched source vertices, the first of which lie far apart.
-
-    Each is the farthest from those before it, by Euclidean distance.
-    """
-    matched = np.flatnonzero(match.is_matched() & is_referenced(source))
-    points = source.vertices[matched]
-    chosen = np.zeros(min(_LINES, len(points)), dtype=np.int64)
-    distance = np.full(len(points), np.inf)
-    for i in range(1, len(chosen)):
-        np.minimum(distance, ((points - points[chosen[i - 1]]) ** 2).sum(axis=1), out=distance)
-        chosen[i] = distance.argmax()
-    return matched[chosen]
+def part(name: str) -> str:
+    """The text of a file that the page is made of."""
+    return (resources.files("esd.viewing") / "page" / name).read_text(encoding="utf-8")
 
 
-def _packed(
-    arrays: dict[str, npt.NDArray[np.generic]],
-) -> tuple[list[tuple[str, str, int, int]], str]:
-    """Name, kind, first byte and length of each array, and all bytes in base64.
-
-    Arrays of four-byte elements precede those of single bytes, so that all are aligned.
-    """
-    layout, content = [], b""
-    for name, array in sorted(arrays.items(), key=lambda item: -item[1].itemsize):
-        kind = f"{array.dtype.kind}{array.dtype.itemsize}"
-        layout.append((name, kind, len(content), array.size))
-        content += array.tobytes()
-    return layout, base64.b64encode(content).decode("ascii")
+def escaped(text: str) -> str:
+    """The text, so that HTML shows it as it is."""
+    return text.replace("&", "&amp;").replace("<", "&lt;").replace('"', "&quot;")
 
 
-def _escaped(text: str) -> str:
-    return text.replace("&", "&amp;").replace("<", "&lt;")
+def _as_address(module: str) -> str:
+    return "data:text/javascript;base64," + base64.b64encode(module.encode()).decode("ascii")

@@ -1,72 +1,81 @@
-// The page that `esd view` writes. Data come from the elements #meta and #arrays.
-"use strict";
-(() => {
-  const element = (id) => document.getElementById(id);
-  const meta = JSON.parse(element("meta").textContent);
-  const arrays = readArrays(meta.arrays, element("arrays").textContent);
-  element("arrays").remove();
-  const { map, confidence, error, image, line_order: lineOrder } = arrays;
-  const grey = meta.unmatched;
-  const viewCanvas = element("view");
+// Two shapes on a stage, turned together, with their map: what is drawn and what is pointed at.
+import { css, ramp } from "esd/colours.js";
+import * as shapes from "esd/shape.js";
 
-  let renderer;
-  try {
-    renderer = new THREE.WebGLRenderer({ canvas: viewCanvas, antialias: true });
-  } catch {
-    document.body.innerHTML = '<p id="failure">This page needs WebGL 2, which this browser does not offer or has switched off.</p>';
-    return;
-  }
+const UP = { x: [1, 0, 0], "-x": [-1, 0, 0], y: [0, 1, 0], "-y": [0, -1, 0], z: [0, 0, 1], "-z": [0, 0, -1] };
+const EYE = { x: [0, 0, 1], "-x": [0, 0, 1], y: [0, 0, 1], "-y": [0, 0, 1], z: [0, -1, 0], "-z": [0, -1, 0] };
+const PLAIN = [0.74, 0.77, 0.81];
+const FAULT = [0.86, 0.15, 0.15];
+const NEAR_PIN = 14; // pixels within which a pin is taken
+
+export const AXES = Object.keys(UP);
+
+export function hasWebGL2() {
+  return Boolean(document.createElement("canvas").getContext("webgl2"));
+}
+
+// `on` holds functions that are called: change(state), point(picked), pick(picked, event),
+// drag(pin, picked), drop(pin, picked).
+export function createViewer(stage, on = {}) {
+  const canvas = stage.querySelector("canvas");
+  const marks = stage.querySelector("svg");
+  const renderer = new THREE.WebGLRenderer({ canvas, antialias: true, alpha: true, preserveDrawingBuffer: true });
   THREE.ColorManagement.enabled = false; // colours are given as they shall be shown
   renderer.outputColorSpace = THREE.LinearSRGBColorSpace;
   renderer.autoClear = false;
 
   const camera = new THREE.PerspectiveCamera(30, 1, 0.05, 50);
+  const source = shapes.makeShape("source");
+  const target = shapes.makeShape("target");
+  const state = {
+    mode: "colours", pattern: "checker", scales: {}, lines: 0, morph: 0, up: "y", aligned: true,
+    picked: null, kept: false, hasMap: false,
+  };
+  let meta = { fields: [] };
+  let arrays = {};
   let controls = null;
-  const source = makeShape("source");
-  const target = makeShape("target");
-  const shapes = [source, target];
-  const comesFrom = sourcesOfTargets();
-
-  const state = { mode: "colours", lines: 0, morph: 0, up: meta.up, picked: null, kept: false };
+  let sourcesOf = () => [];
+  let pins = [];
+  let marked = { source: [], target: [] };
   let frame = 0;
-  let morphing = 0;
+  let moving = 0;
 
-  function readArrays(layout, base64) {
-    const text = atob(base64);
-    const bytes = new Uint8Array(text.length);
-    for (let i = 0; i < text.length; i++) bytes[i] = text.charCodeAt(i);
-    const kinds = { f4: Float32Array, u4: Uint32Array, i4: Int32Array, u1: Uint8Array };
-    return Object.fromEntries(
-      layout.map(([name, kind, start, count]) => [name, new kinds[kind](bytes.buffer, start, count)]),
-    );
+  // What is shown
+
+  // `scene` holds meta and arrays; those of the target and of the map may be missing.
+  function load(scene, { keepView = false } = {}) {
+    const before = meta;
+    ({ meta, arrays } = scene);
+    meta.fields ??= [];
+    for (const shape of [source, target]) {
+      const positions = arrays[`${shape.name}_positions`] ?? new Float32Array(0);
+      shapes.setSurface(shape, positions, arrays[`${shape.name}_faces`] ?? new Uint32Array(0));
+      shape.mesh.position.set(0, 0, 0);
+    }
+    state.hasMap = Boolean(arrays.map);
+    sourcesOf = state.hasMap ? inverse(arrays.map, shapes.count(target)) : () => [];
+    if (state.hasMap) {
+      shapes.setPlaces(source, target.positions, arrays.map);
+      shapes.setPlaces(target, target.positions, null);
+    }
+    state.scales = Object.fromEntries(meta.fields.map((f) => [f.name, [f.low, f.high]]));
+    if (!meta.fields.some((field) => field.name === state.mode)) state.mode = "colours";
+    Object.assign(state, { picked: null, kept: false, morph: 0, lines: Math.min(state.lines, lineLimit()) });
+    align();
+    paint();
+    resize();
+    if (keepView && controls && before.source === meta.source && before.target === meta.target) draw();
+    else {
+      state.up = meta.up;
+      resetView();
+    }
+    changed();
   }
 
-  function makeShape(name) {
-    const geometry = new THREE.BufferGeometry();
-    const positions = arrays[name + "_positions"];
-    geometry.setAttribute("position", new THREE.BufferAttribute(positions.slice(), 3));
-    geometry.setIndex(new THREE.BufferAttribute(arrays[name + "_faces"], 1));
-    geometry.computeVertexNormals();
-    geometry.setAttribute("color", new THREE.BufferAttribute(new Float32Array(positions.length), 3));
-    const material = new THREE.MeshLambertMaterial({ vertexColors: true, side: THREE.DoubleSide });
-    const mesh = new THREE.Mesh(geometry, material);
-    mesh.raycast = THREE.acceleratedRaycast;
-    const light = new THREE.DirectionalLight(0xffffff, 1.9);
-    const scene = new THREE.Scene();
-    scene.add(mesh, light, light.target, new THREE.AmbientLight(0xffffff, 1.2));
-    element(name + "-name").append(name + " ", small(meta[name]));
-    return { name, geometry, mesh, scene, light, positions, box: null };
-  }
+  const lineLimit = () => arrays.line_order?.length ?? 0;
 
-  function small(text) {
-    const node = document.createElement("small");
-    node.textContent = text;
-    return node;
-  }
-
-  // For each target vertex the source vertices that are mapped to it, as one list with bounds.
-  function sourcesOfTargets() {
-    const start = new Uint32Array(target.positions.length / 3 + 1);
+  function inverse(map, size) {
+    const start = new Uint32Array(size + 1);
     for (const t of map) if (t >= 0) start[t + 1]++;
     for (let t = 1; t < start.length; t++) start[t] += start[t - 1];
     const next = start.slice();
@@ -75,80 +84,145 @@
     return (t) => list.subarray(start[t], start[t + 1]);
   }
 
-  // Colours
+  function changed() {
+    on.change?.(state);
+  }
 
-  function ramp(share) {
-    const stops = meta.ramp;
-    const at = Math.min(Math.max(share, 0), 1) * (stops.length - 1);
-    const low = Math.min(Math.floor(at), stops.length - 2);
-    return [0, 1, 2].map((k) => stops[low][k] + (at - low) * (stops[low + 1][k] - stops[low][k]));
+  function fieldOf(mode) {
+    return meta.fields.find((field) => field.name === mode);
   }
 
   function paint() {
-    const given = arrays.target_colours;
-    const own = source.geometry.attributes.color;
-    const other = target.geometry.attributes.color;
-    const values = state.mode === "error" ? error : confidence;
-    const top = state.mode === "error" ? meta.error_top : 1;
-    for (let i = 0; i < map.length; i++) {
-      const t = map[i];
-      let colour = grey;
-      if (state.mode === "colours") {
-        if (t >= 0) colour = [given[3 * t] / 255, given[3 * t + 1] / 255, given[3 * t + 2] / 255];
-      } else if (!Number.isNaN(values[i])) colour = ramp(values[i] / top);
-      own.setXYZ(i, colour[0], colour[1], colour[2]);
+    const field = fieldOf(state.mode);
+    for (const shape of [source, target]) {
+      const { color } = shape.mesh.geometry.attributes;
+      for (let i = 0; i < color.count; i++) color.setXYZ(i, ...(field ? valueColour(field, shape, i) : placeColour(shape, i)));
+      for (const i of marked[shape.name]) if (i < color.count) color.setXYZ(i, ...FAULT);
+      color.needsUpdate = true;
+      const on = state.hasMap && !field;
+      shape.uniforms.pattern.value = on ? shapes.PATTERNS.indexOf(state.pattern) : 0;
     }
-    for (let i = 0; i < given.length; i++) {
-      other.array[i] = state.mode === "colours" ? given[i] / 255 : grey[i % 3] + 0.15;
-    }
-    own.needsUpdate = other.needsUpdate = true;
-    element("legend").hidden = state.mode === "colours";
-    element("lowest").textContent = "0";
-    element("highest").textContent = state.mode === "error" ? errorText(top) + " +" : "1";
-    const stops = meta.ramp.map((c) => `rgb(${c.map((x) => Math.round(255 * x)).join()})`);
-    document.querySelector("#legend i").style.background = `linear-gradient(90deg, ${stops})`;
+    draw();
   }
 
-  const errorText = (value) => `${(100 * value).toFixed(1)} % of √area`;
+  function valueColour(field, shape, i) {
+    const at = shape === source ? i : arrays.comes_from[i];
+    const value = at < 0 || (shape === source && arrays.map[i] < 0) ? NaN : arrays[field.name][at];
+    if (Number.isNaN(value)) return meta.unmatched;
+    const [low, high] = state.scales[field.name];
+    return ramp(meta.ramp, (value - low) / (high - low || 1));
+  }
+
+  function placeColour(shape, i) {
+    if (!state.hasMap) return PLAIN;
+    const t = shape === source ? arrays.map[i] : i;
+    if (t < 0) return meta.unmatched;
+    return [0, 1, 2].map((k) => arrays.target_colours[3 * t + k] / 255);
+  }
+
+  function align() {
+    const turned = state.aligned && meta.rotation;
+    shapes.move(target, turned ? shapes.rotated(target.positions, meta.rotation) : target.positions);
+    target.mesh.position.set(0, 0, 0);
+    draw();
+  }
 
   // Layout and camera
 
   function resize() {
-    const width = window.innerWidth;
-    const height = window.innerHeight;
-    const ratio = Math.min(window.devicePixelRatio, 2);
-    renderer.setPixelRatio(ratio);
+    const width = stage.clientWidth;
+    const height = stage.clientHeight;
+    renderer.setPixelRatio(Math.min(window.devicePixelRatio, 2));
     renderer.setSize(width, height, false);
-    const below = element("controls").offsetHeight + 20;
-    const free = height - below - (width < 640 ? 60 : 0); // on phones the readout needs a place
-    element("readout").style.bottom = below + "px";
-    if (width >= free) {
-      source.box = { x: 0, y: 0, width: width / 2, height: free };
-      target.box = { x: width / 2, y: 0, width: width / 2, height: free };
+    if (!shapes.count(target)) {
+      source.box = { x: 0, y: 0, width, height };
+      target.box = { x: width, y: 0, width: 0, height };
+    } else if (width >= height) {
+      source.box = { x: 0, y: 0, width: width / 2, height };
+      target.box = { x: width / 2, y: 0, width: width / 2, height };
     } else {
-      source.box = { x: 0, y: 0, width, height: free / 2 };
-      target.box = { x: 0, y: free / 2, width, height: free / 2 };
+      source.box = { x: 0, y: 0, width, height: height / 2 };
+      target.box = { x: 0, y: height / 2, width, height: height / 2 };
     }
-    for (const shape of shapes) {
-      const label = element(shape.name + "-name");
-      label.style.left = shape.box.x + "px";
-      label.style.top = shape.box.y + "px";
+    for (const { name, box } of [source, target]) {
+      const label = stage.querySelector(`#${name}-name`);
+      const text = document.createElement("small");
+      text.textContent = meta[name] ?? "";
+      label.replaceChildren(`${name} `, text);
+      label.hidden = !box.width || !meta.source;
+      label.style.left = `${box.x}px`;
+      label.style.top = `${box.y}px`;
+      label.style.maxWidth = `${box.width}px`;
     }
-    camera.aspect = source.box.width / source.box.height;
+    camera.aspect = Math.max(source.box.width, 1) / Math.max(source.box.height, 1);
     camera.updateProjectionMatrix();
+    controls?.handleResize();
     draw();
   }
 
-  function resetView() {
-    const up = { x: [1, 0, 0], y: [0, 1, 0], z: [0, 0, 1] }[state.up];
-    const eye = { x: [0, 0, 1], y: [0, 0, 1], z: [0, -1, 0] }[state.up];
+  function distance() {
     const half = Math.tan((camera.fov * Math.PI) / 360) * Math.min(1, camera.aspect);
-    camera.up.set(...up);
-    camera.position.set(...eye).multiplyScalar((1.12 * meta.radius) / half);
+    return (1.12 * (meta.radius ?? 1)) / half;
+  }
+
+  function resetView() {
+    cancelAnimationFrame(moving);
+    target.mesh.position.set(0, 0, 0);
+    camera.up.set(...UP[state.up]);
+    camera.position.set(...EYE[state.up]).multiplyScalar(distance());
     controls?.dispose();
-    controls = new THREE.OrbitControls(camera, viewCanvas); // it reads `up` only when made
-    controls.addEventListener("change", draw);
+    controls = new THREE.TrackballControls(camera, canvas);
+    Object.assign(controls, { staticMoving: true, rotateSpeed: 3, zoomSpeed: 1, panSpeed: 0.6, keys: ["", "", ""] });
     draw();
+  }
+
+  function turn(around, over) {
+    const offset = camera.position.clone().sub(controls.target);
+    const side = new THREE.Vector3().crossVectors(camera.up, offset).normalize();
+    for (const [axis, angle] of [[camera.up.clone().normalize(), around], [side, over]]) {
+      offset.applyAxisAngle(axis, angle);
+      camera.up.applyAxisAngle(axis, angle);
+    }
+    camera.position.copy(controls.target).add(offset);
+    draw();
+  }
+
+  function nearer(factor) {
+    camera.position.sub(controls.target).multiplyScalar(factor).add(controls.target);
+    draw();
+  }
+
+  // Look at a source vertex from outside, with its image at the same place.
+  function fly(i) {
+    if (state.morph) setMorph(0);
+    const point = shapes.vertexAt(source, i);
+    const outward = shapes.normalAt(source, i);
+    const t = state.hasMap ? arrays.map[i] : -1;
+    target.mesh.position.set(0, 0, 0);
+    if (t >= 0) target.mesh.position.subVectors(point, shapes.vertexAt(target, t));
+    const from = { at: controls.target.clone(), eye: camera.position.clone(), up: camera.up.clone() };
+    const to = { at: point, eye: point.clone().addScaledVector(outward, 0.45 * distance()), up: new THREE.Vector3(...UP[state.up]) };
+    if (Math.abs(to.up.dot(outward)) > 0.95) to.up.set(...EYE[state.up]);
+    animate(500, (share) => {
+      controls.target.lerpVectors(from.at, to.at, share);
+      camera.position.lerpVectors(from.eye, to.eye, share);
+      camera.up.lerpVectors(from.up, to.up, share).normalize();
+    });
+    state.kept = true;
+    show(pickedAt(source, i));
+  }
+
+  function animate(duration, step) {
+    cancelAnimationFrame(moving);
+    const start = performance.now();
+    const length = matchMedia("(prefers-reduced-motion: reduce)").matches ? 1 : duration;
+    const next = (now) => {
+      const share = Math.min(Math.max((now - start) / length, 0), 1);
+      step(share * share * (3 - 2 * share));
+      draw();
+      if (share < 1) moving = requestAnimationFrame(next);
+    };
+    moving = requestAnimationFrame(next);
   }
 
   function draw() {
@@ -157,253 +231,266 @@
 
   function render() {
     frame = 0;
+    controls?.update();
+    camera.updateMatrixWorld();
+    paintStage(getComputedStyle(document.body).backgroundColor, 1);
+    drawMarks();
+    document.documentElement.dataset.ready = "true";
+  }
+
+  function paintStage(background, opacity) {
     renderer.setScissorTest(false);
-    renderer.setClearColor(getComputedStyle(document.body).backgroundColor);
+    renderer.setClearColor(background, opacity);
     renderer.clear();
     renderer.setScissorTest(true);
-    const height = window.innerHeight;
-    for (const { box, scene, light } of shapes) {
-      const bottom = height - box.y - box.height;
+    for (const { box, scene, light } of [source, target]) {
+      if (!box?.width) continue;
+      const bottom = stage.clientHeight - box.y - box.height;
       renderer.setViewport(box.x, bottom, box.width, box.height);
       renderer.setScissor(box.x, bottom, box.width, box.height);
       // over the viewer's left shoulder
       light.position.set(-0.5, 0.6, 1).applyQuaternion(camera.quaternion);
       renderer.render(scene, camera);
     }
-    drawMarks();
-    document.documentElement.dataset.ready = "true";
   }
 
-  // Marks: lines between matched points, and the point that is looked at
-
-  function vertexAt(shape, i) {
-    return new THREE.Vector3().fromBufferAttribute(shape.geometry.attributes.position, i);
+  // A PNG of the stage without a background.
+  function picture() {
+    paintStage("#000000", 0);
+    const done = new Promise((resolve) => canvas.toBlob(resolve, "image/png"));
+    draw();
+    return done;
   }
+
+  // Marks: lines between matched points, pins, and the point that is looked at
 
   function screen(shape, point) {
     const p = point.clone().project(camera);
     return [shape.box.x + ((p.x + 1) / 2) * shape.box.width, shape.box.y + ((1 - p.y) / 2) * shape.box.height];
   }
 
-  function facesViewer(shape, i) {
-    const normal = new THREE.Vector3().fromBufferAttribute(shape.geometry.attributes.normal, i);
-    return normal.dot(camera.position.clone().sub(vertexAt(shape, i))) > 0;
-  }
-
-  function isHidden(shape, i) {
-    const point = vertexAt(shape, i);
-    const toward = camera.position.clone().sub(point);
-    const far = toward.length();
-    const ray = new THREE.Raycaster(camera.position, toward.multiplyScalar(-1 / far), 0, far - 0.01);
-    ray.firstHitOnly = true;
-    return ray.intersectObject(withTree(shape).mesh).length > 0;
-  }
-
   function drawMarks() {
     const parts = [];
-    const colours = source.geometry.attributes.color;
+    const { color } = source.mesh.geometry.attributes;
     for (let k = 0; k < state.lines; k++) {
-      const i = lineOrder[k];
-      if (!facesViewer(source, i)) continue;
-      const rgb = [colours.getX(i), colours.getY(i), colours.getZ(i)].map((c) => Math.round(255 * c));
-      parts.push(line(i, map[i], `rgb(${rgb})`));
+      const i = arrays.line_order[k];
+      if (!shapes.facesViewer(source, i, camera)) continue;
+      parts.push(line(i, arrays.map[i], css([color.getX(i), color.getY(i), color.getZ(i)])));
     }
     if (state.picked) {
-      const sources = state.picked.sources.slice(0, 20);
-      const targets = state.picked.targets;
-      if (targets.length) parts.push(...sources.map((i) => line(i, targets[0], "currentColor")));
-      parts.push(...sources.map((i) => dot(source, i)), ...targets.map((i) => dot(target, i)));
+      const from = state.picked.sources.slice(0, 20);
+      const to = state.picked.targets;
+      if (to.length) parts.push(...from.map((i) => line(i, to[0], "currentColor")));
+      parts.push(...from.map((i) => dot(source, i, "#ff8c00")), ...to.map((i) => dot(target, i, "#ff8c00")));
     }
-    element("marks").innerHTML = parts.join("");
+    for (const pin of pins) parts.push(...drawnPin(pin));
+    marks.replaceChildren(...parts);
+  }
+
+  function node(name, attributes, text) {
+    const made = document.createElementNS("http://www.w3.org/2000/svg", name);
+    for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+    if (text !== undefined) made.textContent = text;
+    return made;
   }
 
   function line(from, to, colour) {
-    const [x1, y1] = screen(source, vertexAt(source, from));
-    const [x2, y2] = screen(target, vertexAt(target, to));
-    return `<line x1="${x1}" y1="${y1}" x2="${x2}" y2="${y2}" stroke="${colour}"/>`;
+    const [x1, y1] = screen(source, shapes.vertexAt(source, from));
+    const [x2, y2] = screen(target, shapes.vertexAt(target, to));
+    return node("line", { x1, y1, x2, y2, stroke: colour });
   }
 
   // A full dot where the point is seen, a ring where something is before it.
-  function dot(shape, i) {
-    const [x, y] = screen(shape, vertexAt(shape, i));
-    return `<circle cx="${x}" cy="${y}" r="6" fill="${isHidden(shape, i) ? "none" : "#ff8c00"}"/>`;
+  function dot(shape, i, colour) {
+    const [cx, cy] = screen(shape, shapes.vertexAt(shape, i));
+    return node("circle", { cx, cy, r: 6, fill: shapes.isHidden(shape, i, camera) ? "none" : colour });
+  }
+
+  function drawnPin(pin) {
+    const shape = pin.side === "source" ? source : target;
+    if (!shape.box?.width || pin.vertex < 0 || pin.vertex >= shapes.count(shape)) return [];
+    const [x, y] = screen(shape, shapes.vertexAt(shape, pin.vertex));
+    const made = dot(shape, pin.vertex, pin.colour);
+    made.setAttribute("class", pin.selected ? "pin selected" : "pin");
+    return [made, node("text", { x: x + 9, y: y - 7 }, pin.name)];
   }
 
   // Pointing
 
-  function withTree(shape) {
-    shape.geometry.boundsTree ??= new THREE.MeshBVH(shape.geometry, { indirect: true });
-    return shape;
+  function boxAt(x, y) {
+    const inside = ({ box }) => box?.width && x >= box.x && x < box.x + box.width && y >= box.y && y < box.y + box.height;
+    return [source, target].find(inside);
   }
 
   function pick(x, y) {
-    const shape = shapes.find(({ box }) => x >= box.x && x < box.x + box.width && y >= box.y && y < box.y + box.height);
+    const shape = boxAt(x, y);
     if (!shape) return null;
     const { box } = shape;
     const at = new THREE.Vector2((2 * (x - box.x)) / box.width - 1, 1 - (2 * (y - box.y)) / box.height);
     const ray = new THREE.Raycaster();
     ray.setFromCamera(at, camera);
-    ray.firstHitOnly = true;
-    const [hit] = ray.intersectObject(withTree(shape).mesh);
-    if (!hit) return null;
-    const corners = [hit.face.a, hit.face.b, hit.face.c];
-    const reach = corners.map((i) => vertexAt(shape, i).distanceToSquared(hit.point));
-    const vertex = corners[reach.indexOf(Math.min(...reach))];
-    return shape === source
-      ? { side: "source", sources: [vertex], targets: map[vertex] >= 0 ? [map[vertex]] : [] }
-      : { side: "target", sources: [...comesFrom(vertex)], targets: [vertex] };
+    const vertex = shapes.hitVertex(shape, ray);
+    return vertex === null ? null : pickedAt(shape, vertex);
+  }
+
+  function pickedAt(shape, vertex) {
+    if (shape === target) return { side: "target", vertex, sources: [...sourcesOf(vertex)], targets: [vertex] };
+    const t = state.hasMap ? arrays.map[vertex] : -1;
+    return { side: "source", vertex, sources: [vertex], targets: t >= 0 ? [t] : [] };
+  }
+
+  function pinAt(x, y) {
+    const shape = boxAt(x, y);
+    const reach = ({ side, vertex }) => {
+      if (!shape || side !== shape.name || vertex < 0) return Infinity;
+      const [px, py] = screen(shape, shapes.vertexAt(shape, vertex));
+      return Math.hypot(px - x, py - y);
+    };
+    const near = pins.filter((pin) => reach(pin) < NEAR_PIN).sort((a, b) => reach(a) - reach(b));
+    return near.find((pin) => !shapes.isHidden(shape, pin.vertex, camera)) ?? near[0] ?? null;
   }
 
   function show(picked) {
     state.picked = picked;
-    element("readout").textContent = picked ? describe(picked) : "";
+    on.point?.(picked);
     draw();
   }
 
-  function describe({ side, sources, targets }) {
+  function describe({ side, vertex, sources, targets }) {
+    if (!state.hasMap) return `${side} vertex ${vertex}`;
     if (side === "target" && sources.length !== 1) {
       const which = sources.length ? `${sources.length} source vertices` : "no source vertex";
-      return `${which} → target vertex ${targets[0]}`;
+      return `${which} → target vertex ${vertex}`;
     }
     const i = sources[0];
-    const parts = [`source vertex ${i} → ${targets.length ? `target vertex ${targets[0]}` : "no match"}`];
-    if (!Number.isNaN(confidence[i])) parts.push(`confidence ${confidence[i].toFixed(2)}`);
-    if (error && !Number.isNaN(error[i])) parts.push(`error ${errorText(error[i])}`);
+    const parts = [`source vertex ${i} → ${targets.length ? `target vertex ${targets[0]}` : "no counterpart"}`];
+    for (const field of meta.fields) {
+      const value = arrays[field.name][i];
+      if (!Number.isNaN(value) && targets.length) parts.push(`${field.title.toLowerCase()} ${valueText(field, value)}`);
+    }
     return parts.join(" · ");
   }
 
-  // Controls
-
-  function setMode(mode) {
-    const button = document.querySelector(`input[value=${mode}]`);
-    if (button.disabled) return;
-    button.checked = true;
-    state.mode = mode;
-    paint();
-    resize(); // the legend changes the height of the controls
+  function valueText(field, value) {
+    const shown = field.factor * value;
+    const digits = field.factor > 1 ? 1 : 2;
+    return `${shown.toFixed(digits)}${field.unit && ` ${field.unit}`}`;
   }
 
-  function setLines(count) {
-    state.lines = Math.min(Math.max(count, 0), lineOrder.length);
-    element("lines").value = state.lines;
-    element("line-count").textContent = state.lines;
+  // Settings
+
+  function setMode(mode) {
+    if (mode !== "colours" && !fieldOf(mode)) return;
+    state.mode = mode;
+    paint();
+    changed();
+  }
+
+  function setScale(low, high) {
+    state.scales[state.mode] = [low, high];
+    paint();
+    changed();
+  }
+
+  function setPattern(pattern) {
+    state.pattern = pattern;
+    paint();
+    changed();
+  }
+
+  function setLines(lines) {
+    state.lines = Math.min(Math.max(lines, 0), lineLimit());
     draw();
+    changed();
   }
 
   function setMorph(share) {
+    if (!arrays.image) return;
     state.morph = share;
-    element("morph").value = 100 * share;
-    element("morph-share").textContent = `${Math.round(100 * share)}%`;
-    const { array } = source.geometry.attributes.position;
-    for (let k = 0; k < array.length; k++) array[k] = (1 - share) * source.positions[k] + share * image[k];
-    source.geometry.attributes.position.needsUpdate = true;
-    source.geometry.computeVertexNormals();
-    source.geometry.boundsTree = undefined;
-    source.geometry.computeBoundingSphere();
+    shapes.move(source, source.positions.map((x, k) => (1 - share) * x + share * arrays.image[k]));
     draw();
+    changed();
   }
 
   function playMorph() {
-    cancelAnimationFrame(morphing);
     const from = state.morph;
     const to = from < 0.5 ? 1 : 0;
-    const start = performance.now();
-    const step = (now) => {
-      const share = Math.min((now - start) / 1200, 1);
-      setMorph(from + (to - from) * share);
-      if (share < 1) morphing = requestAnimationFrame(step);
-    };
-    morphing = requestAnimationFrame(step);
+    animate(1200, (share) => setMorph(from + (to - from) * share));
   }
 
-  function toggleTheme() {
-    const root = document.documentElement;
-    const dark = root.dataset.theme ? root.dataset.theme === "dark" : matchMedia("(prefers-color-scheme: dark)").matches;
-    root.dataset.theme = dark ? "light" : "dark";
+  function setUp(axis) {
+    state.up = axis;
+    resetView();
+    changed();
+  }
+
+  function setAligned(aligned) {
+    state.aligned = aligned;
+    align();
+    changed();
+  }
+
+  function setPins(list) {
+    pins = list;
     draw();
   }
 
-  function turn(around, over) {
-    const offset = camera.position.clone().sub(controls.target);
-    offset.applyAxisAngle(camera.up, around);
-    const side = new THREE.Vector3().crossVectors(camera.up, offset).normalize();
-    const tilted = offset.clone().applyAxisAngle(side, over);
-    const angle = tilted.angleTo(camera.up);
-    if (angle > 0.05 && angle < Math.PI - 0.05) offset.copy(tilted);
-    camera.position.copy(controls.target).add(offset);
-    controls.update();
-    draw();
+  // Vertices that are marked, by name of the shape.
+  function mark(lists) {
+    marked = { source: [], target: [], ...lists };
+    paint();
   }
 
-  function nearer(factor) {
-    camera.position.sub(controls.target).multiplyScalar(factor).add(controls.target);
-    controls.update();
-    draw();
-  }
-
-  const keys = {
-    1: () => setMode("colours"),
-    2: () => setMode("confidence"),
-    3: () => setMode("error"),
-    l: () => setLines(state.lines ? 0 : 60),
-    "[": () => setLines(state.lines - 10),
-    "]": () => setLines(state.lines + 10),
-    m: playMorph,
-    u: () => { state.up = { x: "y", y: "z", z: "x" }[state.up]; resetView(); },
-    r: () => { state.up = meta.up; resetView(); },
-    t: toggleTheme,
-    "?": () => element("help").showModal(),
-    Escape: () => { state.kept = false; show(null); },
-    ArrowLeft: () => turn(-0.1, 0),
-    ArrowRight: () => turn(0.1, 0),
-    ArrowUp: () => turn(0, -0.1),
-    ArrowDown: () => turn(0, 0.1),
-    "+": () => nearer(0.9),
-    "=": () => nearer(0.9),
-    "-": () => nearer(1.1),
-  };
-
-  window.addEventListener("keydown", (event) => {
-    const arrows = event.key.startsWith("Arrow") && event.target.tagName === "INPUT";
-    if (event.ctrlKey || event.metaKey || event.altKey || arrows || element("help").open) return;
-    const action = keys[event.key.length === 1 ? event.key.toLowerCase() : event.key];
-    if (!action) return;
-    event.preventDefault();
-    action();
-  });
+  // Events
 
   let down = null;
-  viewCanvas.addEventListener("pointerdown", (event) => { down = [event.clientX, event.clientY]; });
-  viewCanvas.addEventListener("pointerup", (event) => {
-    if (!down || Math.hypot(event.clientX - down[0], event.clientY - down[1]) > 6) return;
-    const picked = pick(event.clientX, event.clientY);
+  let held = null; // the pin that is dragged
+  const place = (event) => {
+    const box = canvas.getBoundingClientRect();
+    return [event.clientX - box.left, event.clientY - box.top];
+  };
+  canvas.addEventListener("pointerdown", (event) => {
+    down = place(event);
+    held = on.drag && event.button === 0 ? pinAt(...down) : null;
+    if (held) event.stopImmediatePropagation(); // the camera stays
+  }, { capture: true });
+  canvas.addEventListener("pointermove", (event) => {
+    const at = place(event);
+    if (held) {
+      const picked = pick(...at);
+      if (picked?.side === held.side) on.drag(held, picked.vertex);
+    } else if (event.buttons || event.pointerType === "touch") draw();
+    else if (!state.kept) show(pick(...at));
+  });
+  canvas.addEventListener("pointerup", (event) => {
+    const at = place(event);
+    const still = down && Math.hypot(at[0] - down[0], at[1] - down[1]) <= 6;
+    if (held) {
+      const pin = held;
+      held = null;
+      on.drop?.(pin, still);
+      return;
+    }
+    if (!still || event.button !== 0) return;
+    const picked = pick(...at);
+    if (on.pick?.(picked, event)) return;
     state.kept = picked !== null;
     show(picked);
   });
-  viewCanvas.addEventListener("pointermove", (event) => {
-    if (event.buttons || event.pointerType === "touch" || state.kept) return;
-    show(pick(event.clientX, event.clientY));
-  });
-  element("controls").addEventListener("submit", (event) => event.preventDefault());
-  element("modes").addEventListener("change", (event) => setMode(event.target.value));
-  element("modes").addEventListener("click", (event) => {
-    if (event.detail) viewCanvas.focus(); // after a press of the mouse arrows turn the shapes again
-  });
-  element("lines").addEventListener("input", (event) => setLines(Number(event.target.value)));
-  element("morph").addEventListener("input", (event) => setMorph(Number(event.target.value) / 100));
-  element("reset").addEventListener("click", keys.r);
-  element("theme").addEventListener("click", toggleTheme);
-  element("help-button").addEventListener("click", keys["?"]);
-  window.addEventListener("resize", resize);
+  canvas.addEventListener("pointerleave", () => { if (!state.kept) show(null); });
+  canvas.addEventListener("wheel", draw);
+  new ResizeObserver(resize).observe(stage);
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", draw);
 
-  element("lines").max = lineOrder.length;
-  for (const [mode, values] of [["confidence", confidence], ["error", error]]) {
-    const known = values && values.some((value) => !Number.isNaN(value));
-    document.querySelector(`input[value=${mode}]`).disabled = !known;
-    document.querySelector(`input[value=${mode}]`).parentElement.hidden = !known;
-  }
-  paint();
-  resize();
-  resetView();
-})();
+  return {
+    state, load, setMode, setScale, setPattern, setLines, setMorph, playMorph, setUp, setAligned, setPins, mark,
+    resetView: () => { state.up = meta.up; resetView(); changed(); },
+    drop: () => { state.kept = false; show(null); },
+    turn, nearer, fly, pick, pinAt, picture, describe, valueText, draw, lineLimit,
+    scene: () => ({ meta, arrays }),
+    screenOf: (side, vertex) => {
+      const shape = side === "source" ? source : target;
+      return screen(shape, shapes.vertexAt(shape, vertex));
+    },
+  };
+}
