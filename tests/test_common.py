@@ -5,6 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import esd.common as common
@@ -135,6 +136,10 @@ def test_files_that_cannot_be_there_are_missing(tmp_path):
             existing_file(tmp_path / name)
     (tmp_path / "a.npy").write_bytes(b"hello")
     with pytest.raises(InputError, match=r"a.npy' holds no array"):
+        read_array(tmp_path / "a.npy")
+    with (tmp_path / "a.npy").open("wb") as file:
+        np.savez(file, a=np.zeros(3))
+    with pytest.raises(InputError, match=r"a.npy' holds no array: it is an archive"):
         read_array(tmp_path / "a.npy")
 
 

@@ -75,9 +75,13 @@ def read_array(path: str | os.PathLike[str]) -> npt.NDArray[Any]:
     """
     path = existing_file(path)
     try:
-        return np.load(path, mmap_mode="r", allow_pickle=False)
+        array = np.load(path, mmap_mode="r", allow_pickle=False)
     except Exception as error:  # numpy parses the header as Python, which fails in many ways
         raise InputError(f"'{path}' holds no array: {' '.join(str(error).split())}.") from error
+    if not isinstance(array, np.ndarray):
+        array.close()
+        raise InputError(f"'{path}' holds no array: it is an archive, as in .npz files.")
+    return array
 
 
 def whole_number(cell: str | None) -> int:

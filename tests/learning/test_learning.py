@@ -433,6 +433,15 @@ def test_models_replace_nothing_but_models(model, tmp_path):
     (tmp_path / "mine" / "thesis.tex").write_text("")
     with pytest.raises(InputError, match="is no model"):
         save_model(model, tmp_path / "mine")
+    save_model(model, tmp_path / "m")
+    (tmp_path / "m" / "notes.txt").write_text("mine")
+    with pytest.raises(InputError, match=r"'.*m' holds 'notes.txt', which is no file of a model"):
+        save_model(model, tmp_path / "m")
+    assert (tmp_path / "m" / "notes.txt").read_text() == "mine"
+    (tmp_path / "project").mkdir()
+    (tmp_path / "project" / "config.json").write_text("{}")
+    with pytest.raises(InputError, match="is no model"):
+        save_model(model, tmp_path / "project")
     with pytest.raises(InputError, match="is a file, not a folder"):
         save_model(model, tmp_path / "mine" / "thesis.tex" / "b")
     with pytest.raises(InputError, match=r"shape \(n, 25\); got \(3, 4\)"):

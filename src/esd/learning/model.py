@@ -41,6 +41,8 @@ _FORMAT = 1
 _LARGEST_FILE = 2**30
 _LARGEST_CONFIG = 2**26
 _ROWS = 2**14  # embedded at a time, for the memory that dense meshes take
+# of a model folder, and the one that macOS leaves in any
+_FILES = frozenset({"config.json", "model.safetensors", "README.md", ".DS_Store"})
 _BUNDLED = Path(__file__).parent / "models"
 ALIASES = {"default": "oriented"}
 """Other names of bundled models."""
@@ -323,12 +325,22 @@ def save_model(model: Model, folder: str | os.PathLike[str]) -> None:
 
 
 def check_model_destination(folder: Path) -> None:
-    """Raise an `InputError` unless a model may be written there."""
-    if folder.exists() and not (
-        folder.is_dir() and ((folder / "config.json").is_file() or not any(folder.iterdir()))
-    ):
-        raise InputError(f"'{folder}' exists and is no model; choose another name.")
+    """Raise an `InputError` unless a model may be written there.
+
+    A model is replaced as a whole folder, so a folder with any other file is refused.
+    """
     check_can_be_made(folder)
+    if not folder.exists():
+        return
+    held = {path.name for path in folder.iterdir()} if folder.is_dir() else set()
+    if not folder.is_dir() or (held and not {"config.json", "model.safetensors"} <= held):
+        raise InputError(f"'{folder}' exists and is no model; choose another name.")
+    others = sorted(held - _FILES)
+    if others:
+        raise InputError(
+            f"'{folder}' holds '{others[0]}', which is no file of a model and would be lost; move "
+            "it, or choose another name."
+        )
 
 
 def layer_widths(model: Model) -> list[int]:
