@@ -2,6 +2,7 @@
 
 import json
 import os
+import socketserver
 import subprocess
 import sys
 import threading
@@ -11,8 +12,10 @@ from pathlib import Path
 
 import pytest
 
+from esd.common import InputError
 from esd.mesh.io.meshes import write_mesh
 from esd.mesh.shapes import torus
+from esd.parallel import Workers, outcomes
 
 pytest.importorskip("distributed", reason="a cluster needs the extra `cluster`")
 
@@ -97,6 +100,43 @@ def test_a_cluster_without_workers_is_not_waited_for_without_end(scheduler, tmp_
     said = (tmp_path / "log").read_text()
     assert "esd: The scheduler has no workers yet; waiting for some." in said
     assert "esd: The scheduler has had no workers for 3 s. Start some by" in said
+
+
+@contextmanager
+def answering(content: bytes):
+    """Port of a server that sends so much to whoever connects, and then waits."""
+    done = threading.Event()
+
+    class Handler(socketserver.BaseRequestHandler):
+        def handle(self):
+            self.request.sendall(content)
+            done.wait(LIMIT)
+
+    with socketserver.ThreadingTCPServer(("127.0.0.1", 0), Handler) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        try:
+            yield server.server_address[1]
+        finally:
+            done.set()
+            server.shutdown()
+
+
+def refused_by(address: str, patience: float) -> str:
+    with pytest.raises(InputError) as refused:
+        list(outcomes(slow_square, [1], workers=Workers(scheduler=address, patience=patience)))
+    return str(refused.value)
+
+
+def test_what_is_no_scheduler_is_refused_in_time(monkeypatch, caplog):
+    monkeypatch.setattr("esd.parallel._SILENCE", 0.2)
+    with answering(b"") as port:
+        said = refused_by(f"tcp://127.0.0.1:{port}", 1.0)
+    assert "No Dask scheduler answered at" in said
+    assert "within 1 s. Start one by `dask scheduler`" in said
+    assert "No scheduler has answered at 'tcp://127.0.0.1" in caplog.text
+    with answering(b"HTTP/1.1 400 Bad Request\r\n\r\n" * 100) as port:
+        said = refused_by(f"tcp://127.0.0.1:{port}", 30.0)
+    assert "is no Dask scheduler, or one of a version" in said
 
 
 def test_a_cluster_computes_the_same_bytes_and_outlives_a_worker(cluster, shapes, tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import math
 import os
@@ -232,17 +233,42 @@ def _dask(workers: Workers) -> Iterator[tuple[Executor, Callable[[], int]]]:
     """An executor on the workers of a scheduler, and how many cores they have now."""
     from distributed import Client
 
+    _await_scheduler(workers)
+    with Client(workers.scheduler, set_as_default=False, timeout=workers.patience) as client:
+        _warn_of_versions(client)
+        with client.get_executor() as executor:
+            yield executor, lambda: sum(client.ncores().values())
+
+
+def _await_scheduler(workers: Workers) -> None:
+    """Return once a scheduler has answered; a client would not end in order if none did."""
+    from distributed.core import rpc
+
+    async def identity() -> Any:
+        async with rpc(workers.scheduler, timeout=workers.patience) as scheduler:
+            return await asyncio.wait_for(scheduler.identity(), workers.patience)
+
+    report = threading.Timer(
+        _SILENCE, _log.warning, ["No scheduler has answered at '%s' yet.", workers.scheduler]
+    )
+    report.daemon = True
+    report.start()
     try:
-        client = Client(workers.scheduler, set_as_default=False, timeout=workers.patience)
-    except (OSError, ValueError, TimeoutError) as error:
+        if asyncio.run(identity()).get("type") == "Scheduler":
+            return
+    except (OSError, TimeoutError) as error:
         raise InputError(
             f"No Dask scheduler answered at '{workers.scheduler}' within {workers.patience:g} s. "
             "Start one by `dask scheduler`, and give the address that it prints."
         ) from error
-    with client:
-        _warn_of_versions(client)
-        with client.get_executor() as executor:
-            yield executor, lambda: sum(client.ncores().values())
+    except Exception as error:  # distributed fails in many ways on what it cannot read
+        _log.info("What answered cannot be read: %s: %s", type(error).__name__, error)
+    finally:
+        report.cancel()
+    raise InputError(
+        f"What answers at '{workers.scheduler}' is no Dask scheduler, or one of a version that "
+        "cannot be read here. Give the address that `dask scheduler` prints."
+    )
 
 
 def _warn_of_versions(client: Any) -> None:
