@@ -77,7 +77,8 @@ def read_array(path: str | os.PathLike[str]) -> npt.NDArray[Any]:
     try:
         array = np.load(path, mmap_mode="r", allow_pickle=False)
     except Exception as error:  # numpy parses the header as Python, which fails in many ways
-        raise InputError(f"'{path}' holds no array: {' '.join(str(error).split())}.") from error
+        why = " ".join(str(error).split()).rstrip(".")
+        raise InputError(f"'{path}' holds no array: {why}.") from error
     if not isinstance(array, np.ndarray):
         array.close()
         raise InputError(f"'{path}' holds no array: it is an archive, as in .npz files.")

@@ -1,5 +1,7 @@
 """Maps of broken meshes come back for the vertices of the files."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -46,6 +48,66 @@ def test_what_is_left_out_has_no_match_on_either_side(blob):
     back = match(blob, dirty, model=MODEL)
     assert not np.isin(back.target_index, lost).any()
     assert back.is_matched().all()
+
+
+def with_pieces(blob: Mesh) -> tuple[Mesh, int]:
+    """The blob with a shell of a fifth of it right above its surface, and a ball far away."""
+    low = np.unique(blob.faces[: len(blob.faces) // 5])
+    shell = blob.vertices[low] * 1.001
+    place = np.full(len(blob.vertices), -1)
+    place[low] = np.arange(len(low))
+    inner = blob.faces[(place[blob.faces] >= 0).all(axis=1)]
+    ball = icosphere(2)
+    vertices = np.concatenate([blob.vertices, shell, ball.vertices / 9 + 5])
+    count = len(blob.vertices)
+    faces = [blob.faces, place[inner] + count, ball.faces + count + len(low)]
+    return Mesh(vertices, np.concatenate(faces)), len(low)
+
+
+@pytest.mark.parametrize("coarse", [None, 400])
+def test_pieces_beside_the_largest_go_with_it_and_far_ones_count_as_wrong(blob, coarse):
+    mesh, shell = with_pieces(blob)
+    count = len(blob.vertices)
+    found = match(mesh, blob, model=MODEL, coarse=coarse)
+    on_shell = slice(count, count + shell)
+    share = 162 / len(mesh.vertices)  # the ball's vertices
+    assert found.is_matched()[: count + shell].all()
+    assert not found.is_matched()[count + shell :].any()
+    gap = np.linalg.norm(mesh.vertices[on_shell, None] - mesh.vertices[:count], axis=2)
+    nearest = gap.argmin(axis=1)
+    np.testing.assert_array_equal(found.target_index[on_shell], found.target_index[nearest])
+    alone = match(Mesh(mesh.vertices[:count], blob.faces), blob, model=MODEL, coarse=coarse)
+    judged = found.judgement
+    assert judged.unmatched == pytest.approx(share)
+    assert judged.expected_accuracy == pytest.approx(
+        alone.judgement.expected_accuracy * (1 - share)
+    )
+    assert f"{share:.0%} of the source lies on loose pieces too far off" in judged.advice
+
+
+def test_one_to_one_maps_take_no_vertex_twice_for_pieces_and_seams(blob):
+    mesh, _ = with_pieces(blob)
+    torn = Mesh(mesh.vertices[mesh.faces].reshape(-1, 3), np.arange(mesh.faces.size).reshape(-1, 3))
+    for each in (mesh, torn):
+        index = match(each, blob, model=MODEL, one_to_one=True).target_index
+        matched = index[index >= 0]
+        assert len(np.unique(matched)) == len(matched) == len(blob.vertices)
+
+
+def test_a_verdict_names_what_was_not_repaired(blob):
+    flaps = blob.faces[::4, [1, 0]]  # a third face at edges of the surface
+    tips = blob.vertices[flaps].mean(axis=1) * 1.2
+    count = len(blob.vertices)
+    third = np.column_stack([flaps, count + np.arange(len(flaps))])
+    broken = Mesh(np.concatenate([blob.vertices, tips]), np.concatenate([blob.faces, third]))
+    found = match(broken, icosphere(3), model=MODEL)
+    assert found.judgement.verdict == "failed"
+    assert "Not repaired: 256 non-manifold edges, 4 holes in the source." in found.judgement.advice
+    bowl = Mesh(blob.vertices, blob.faces[blob.vertices[blob.faces, 0].max(axis=1) < 0.5])
+    found = match(icosphere(3), bowl, model=MODEL)
+    assert found.judgement.verdict != "good"
+    assert re.search(r"Not repaired: \d holes? in the target.", found.judgement.advice)
+    assert not match(blob, blob, model=MODEL).judgement.not_repaired
 
 
 def test_what_would_lie_in_a_hole_goes_to_its_rim_without_confidence(blob):

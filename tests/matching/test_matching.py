@@ -134,7 +134,7 @@ def test_damaged_maps_are_refused(tmp_path):
     with pytest.raises(InputError, match=r"integers of shape \(n,\)"):
         load_map(tmp_path / "e.npy", **counts)
     np.save(tmp_path / "f.npy", np.array([{}, {}]), allow_pickle=True)
-    with pytest.raises(InputError, match="holds no map"):
+    with pytest.raises(InputError, match="holds no array"):
         load_map(tmp_path / "f.npy", **counts)
     with pytest.raises(InputError, match="ends in one of"):
         load_map(tmp_path / "g.xml", **counts)

@@ -236,10 +236,10 @@ def test_of_loose_pieces_the_largest_is_kept():
     assert finding.share == pytest.approx(1 / 5)  # a quarter of the area of the other
     repaired = repair(pair)
     np.testing.assert_array_equal(repaired.vertex_index >= 0, np.arange(2 * COUNT) >= COUNT)
-    assert repaired.dropped == pytest.approx(1 / 5)
+    assert repaired.lost == 1 / 2  # the other piece is as fine, and far away
     both = repair(pair, all_pieces=True)
     assert components(both.shape).max() == 1
-    assert both.dropped == 0
+    assert both.lost == 0
 
 
 def test_only_the_piece_that_is_kept_says_whether_the_shape_was_inside_out():

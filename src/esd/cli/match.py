@@ -139,6 +139,7 @@ def match(
         "orientation": judged.orientation if judged else None,
         "candidate": judged.candidate if judged else None,
         "candidate_costs": dict(judged.costs) if judged else {},
+        "unmatched": judged.unmatched if judged else None,
         "mirrored": judged.is_mirrored if judged else False,
         "landmarks": 0 if pairs is None else len(pairs),
         "contradicted_landmarks": [names[i] for i in judged.contradicted] if judged else [],

@@ -287,6 +287,7 @@ def save_features(features: Features, folder: Path) -> None:
         "vertex_index": features.vertex_index,
         "original_index": features.original_index,
         "filling": np.array(features.filling),
+        "lost": np.array(features.lost),
     }
     if isinstance(features.shape, Mesh):
         arrays["faces"] = features.shape.faces
@@ -326,5 +327,6 @@ def load_features(folder: Path) -> Features:
         arrays["vertex_index"],
         arrays["original_index"],
         int(arrays["filling"]),
+        float(arrays["lost"]),
         copy,
     )

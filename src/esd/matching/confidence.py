@@ -26,6 +26,7 @@ _OFFSET = 0.01  # added to lengths over √area before the logarithm; about half
 _LOGISTIC = (-5.33, -1.47, -0.82)  # constant, and factors of the two logarithms of `evidence`
 _JUDGED = (-1.648, -0.336, -0.241, 1.028)  # the same, and the factor of the logit of the accuracy
 _ORIENTED = 0.3  # orientation that a map needs to be good; of mirrored ones below the negative
+_WORTH_SAYING = 0.01  # share of a shape that is unmatched
 _GOOD, _FAILED = 0.9, 0.5  # expected shares of vertices within 5 % of the diameter
 
 ADVICE = {
@@ -59,6 +60,11 @@ class Judgement:
         Whether the source was mirrored before it was matched.
     contradicted
         Indices of the landmarks that the others contradict, and that were left out.
+    unmatched
+        Share of the source's vertices with a face that lie on loose pieces too far from the one
+        that was matched. They count as wrong.
+    not_repaired
+        What does harm in either shape and was not repaired, in words.
     """
 
     verdict: Verdict
@@ -67,6 +73,8 @@ class Judgement:
     costs: Mapping[str, float] = field(default_factory=dict)
     is_mirrored: bool = False
     contradicted: tuple[int, ...] = ()
+    unmatched: float = 0.0
+    not_repaired: str = ""
 
     @property
     def candidate(self) -> str | None:
@@ -76,7 +84,14 @@ class Judgement:
     @property
     def advice(self) -> str:
         """What to do; empty if the map is good."""
-        return ADVICE[self.verdict]
+        parts = [ADVICE[self.verdict]]
+        if self.unmatched >= _WORTH_SAYING:
+            parts.append(
+                f"{self.unmatched:.0%} of the source lies on loose pieces too far off to match."
+            )
+        if self.not_repaired and self.verdict != "good":
+            parts.append(f"Not repaired: {self.not_repaired}.")
+        return " ".join(filter(None, parts))
 
 
 def evidence(
@@ -165,6 +180,7 @@ def judgement(
     *,
     counted: BoolArray | None = None,
     turned_over: bool = False,
+    unmatched: float = 0.0,
 ) -> Judgement:
     """The verdict on a map, from its `confidence` and its `orientation`.
 
@@ -176,16 +192,18 @@ def judgement(
         Vertices whose confidence counts, by default all that have a face.
     turned_over
         Whether the faces of just one of the meshes were turned before it was matched.
+    unmatched
+        Share of the source that was not matched, beside what `values` are of.
     """
     counted = is_referenced(source) if counted is None else counted
-    accuracy = float(values[counted].mean())
+    accuracy = float(values[counted].mean()) * (1 - unmatched)
     side = orientation(source, target, target_index) * (-1 if turned_over else 1)
     if side < -_ORIENTED and accuracy >= _FAILED:
-        return Judgement("mirrored", accuracy, side)
+        return Judgement("mirrored", accuracy, side, unmatched=unmatched)
     verdict: Verdict = "failed"
     if accuracy >= _FAILED:
         verdict = "good" if accuracy >= _GOOD and side > _ORIENTED else "doubtful"
-    return Judgement(verdict, accuracy, side)
+    return Judgement(verdict, accuracy, side, unmatched=unmatched)
 
 
 def _around(neighbours: sparse.csr_array, values: FloatArray) -> FloatArray:

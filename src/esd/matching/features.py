@@ -42,8 +42,11 @@ class Features:
     vertex_index, original_index : (n,) and (r,)
         The vertex of the shape of each of the n original ones, and back, see
         `esd.mesh.repair.repair.Repaired`. Where the shape is a coarse copy: of the repaired mesh.
+        Vertices of loose pieces have that which stands in for them.
     filling
         How many of the last vertices of the repaired mesh fill holes.
+    lost
+        Share of the original vertices with a face that lie on loose pieces and have no stand-in.
     copy
         Where the vertices of the repaired mesh lie on the coarse copy, if the shape is one.
     """
@@ -57,6 +60,7 @@ class Features:
     vertex_index: IntArray
     original_index: IntArray
     filling: int = 0
+    lost: float = 0.0
     copy: MeshCopy | None = None
 
     def located(self, vertices: IntArray) -> IntArray:
@@ -158,8 +162,9 @@ def shape_features(
         values.astype(np.float32),
         model.embed(values, operator),
         repaired.is_flipped,
-        repaired.vertex_index,
+        np.where(repaired.vertex_index >= 0, repaired.vertex_index, repaired.stand_in),
         repaired.original_index,
         repaired.filling,
+        repaired.lost,
         copy,
     )

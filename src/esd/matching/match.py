@@ -124,10 +124,15 @@ def match(
         landmarks=landmarks,
         mirror=mirror,
     )
+    left = []
     for name, each in zip(("source", "target"), shapes, strict=True):
         if each.in_a_line():
             _log.warning("The %s has %s.", name, each.in_a_line())
-    return found
+        if each.not_repaired():
+            left.append(f"{each.not_repaired()} in the {name}")
+    if found.judgement is None or not left:
+        return found
+    return replace(found, judgement=replace(found.judgement, not_repaired="; ".join(left)))
 
 
 def check_copies(*, one_to_one: bool, coarse: int | None, full: bool = False) -> None:
@@ -242,7 +247,8 @@ def match_features(
         ]
         image = precise_map(*rows, copies[1].mesh.faces, found.target_index)
         found = carried_to_dense(found, image, *copies)
-    return _for_original_vertices(found, source, target)
+    found = _for_original_vertices(found, source, target)
+    return _without_doubles(found, source) if one_to_one else found
 
 
 def _located(landmarks: IntArray, source: Features, target: Features) -> tuple[IntArray, IntArray]:
@@ -349,6 +355,7 @@ def _judged(
         values,
         counted=counted,
         turned_over=source.is_turned != target.is_turned,
+        unmatched=source.lost,
     )
     return replace(match, confidence=values, judgement=verdict)
 
@@ -369,6 +376,19 @@ def _for_original_vertices(
         target_index=np.where(matched, target.original_index[index], -1),
         distance=np.where(matched, match.distance[source.vertex_index], np.inf),
         confidence=np.where(sure, match.confidence[source.vertex_index], 0.0),
+    )
+
+
+def _without_doubles(match: Correspondence, source: Features) -> Correspondence:
+    """The map without those original vertices that share a repaired one with another."""
+    index = source.vertex_index
+    is_first = source.original_index[index] == np.arange(len(index))
+    keep = is_first & match.is_matched()
+    return replace(
+        match,
+        target_index=np.where(keep, match.target_index, -1),
+        distance=np.where(keep, match.distance, np.inf),
+        confidence=np.where(keep, match.confidence, 0.0),
     )
 
 

@@ -178,7 +178,8 @@ _KINDS = {
         "loose piece",
         "loose pieces",
         0.05,
-        "A piece of its own has a spectrum of its own: the largest is matched, the others are not.",
+        "A piece of its own has a spectrum of its own: the largest is matched, and vertices of the "
+        "others take the match of its nearest vertex if that is near.",
         "left out",
         always=True,
     ),

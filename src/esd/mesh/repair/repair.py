@@ -20,8 +20,9 @@ from esd.mesh.mesh import Mesh, PointCloud
 from esd.mesh.repair.arrays import diagonal, is_finite, loose_arrays, safe_scale, sound_part
 from esd.mesh.repair.diagnose import diagnosed, examine_points
 from esd.mesh.repair.filling import holes_filled
-from esd.mesh.repair.findings import SMALL_HOLE, Diagnosis
+from esd.mesh.repair.findings import SMALL_HOLE, Diagnosis, Finding
 from esd.mesh.repair.joining import collapse_partners, cut_apart, seam_partners
+from esd.mesh.repair.pieces import stand_ins
 from esd.mesh.repair.smoothing import smoothed
 from esd.mesh.topology import (
     compacted,
@@ -52,6 +53,9 @@ class Repaired:
         The repaired vertex of each original one; -1 where it could not be carried over.
     original_index : (r,)
         The original vertex of each repaired one, for those that fill a hole one on its rim.
+    stand_in : (n,)
+        Of each original vertex on a piece that was dropped, the nearest repaired one, if it is
+        near; -1 for all others.
     filling
         How many of the last vertices of the shape fill holes.
     diagnosis
@@ -60,25 +64,36 @@ class Repaired:
         Kinds of the findings that were repaired.
     is_flipped
         Whether the faces that were kept were inside out: nearly all of them were flipped.
-    dropped
-        Share of the area that was dropped with loose pieces.
+    lost
+        Share of the original vertices with a face that were dropped with loose pieces, and have
+        no `stand_in`.
     """
 
     shape: Mesh | PointCloud
     positions: npt.NDArray[np.float64]
     vertex_index: IntArray
     original_index: IntArray
+    stand_in: IntArray
     diagnosis: Diagnosis
     done: frozenset[str] = frozenset()
     filling: int = 0
     is_flipped: bool = False
-    dropped: float = 0.0
+    lost: float = 0.0
 
     def in_a_line(self) -> str:
         """What was found, and what was done about it, in one line; empty if nothing was."""
         return ", ".join(
             finding.what + (f" ({finding.remedy})" if finding.kind in self.done else "")
             for finding in self.diagnosis.findings
+        )
+
+    def not_repaired(self) -> str:
+        """What does harm and was not repaired, in one line; empty if there is nothing."""
+        return ", ".join(
+            finding.what
+            for finding in self.diagnosis.findings
+            if finding.severity != "harmless"
+            and (finding.kind not in self.done or _is_large_hole(finding))
         )
 
     def carried_back(self, values: FloatArray) -> FloatArray:
@@ -102,6 +117,7 @@ class Repaired:
             positions=self.positions[place >= 0],
             vertex_index=np.where(self.vertex_index >= 0, place[self.vertex_index], -1),
             original_index=self.original_index[place >= 0],
+            stand_in=np.where(self.stand_in >= 0, place[self.stand_in], -1),
         )
 
 
@@ -162,7 +178,8 @@ def repair(
     if done <= {"unreferenced_vertices"}:  # the very same, and so known to the caches
         mesh = Mesh(vertices, faces)
         index = np.where(is_referenced(mesh), original, -1)
-        return Repaired(mesh, mesh.vertices, index, original, diagnosis, frozenset(done))
+        none = np.full(len(index), -1)
+        return Repaired(mesh, mesh.vertices, index, original, none, diagnosis, frozenset(done))
     index = np.where(finite, original, -1)
     if "duplicate_vertices" in done:
         # of the original places: moving and scaling may have rounded different ones to one
@@ -185,7 +202,8 @@ def repair(
     flipped = (outward.faces != mesh.faces).any(axis=1) & (piece == 0)
     kept_area = float(area[piece == 0].sum())
     flipped_share = float(area[flipped].sum()) / max(kept_area, np.finfo(float).tiny)
-    mesh = replace(outward, faces=outward.faces[piece == 0])
+    mesh, whole = replace(outward, faces=outward.faces[piece == 0]), mesh
+    used, kept = is_referenced(whole), is_referenced(mesh)
     on_rim = np.zeros(0, dtype=np.int64)
     if "holes" in done:
         mesh, on_rim = holes_filled(mesh, shorter_than=SMALL_HOLE)
@@ -193,18 +211,31 @@ def repair(
     positions = mesh.vertices
     if "folded_edges" in done:
         mesh = smoothed(mesh)
-    index = np.where(is_referenced(mesh)[index], index, -1)
+    # original vertices by what became of them: kept, dropped with a loose piece, or without a face
+    has_face = (index >= 0) & used[index]
+    is_dropped = has_face & ~kept[index]
+    stand_in = np.full(len(index), -1)
+    stand_in[is_dropped] = stand_ins(
+        whole.vertices, kept=np.flatnonzero(kept), dropped=index[is_dropped]
+    )
+    index = np.where(has_face & ~is_dropped, index, -1)
     return Repaired(
         mesh,
         positions,
         index,
         original,
+        stand_in,
         diagnosis,
         frozenset(done),
         filling=len(on_rim),
         is_flipped=flipped_share > _FLIPPED,
-        dropped=1 - kept_area / max(float(area.sum()), np.finfo(float).tiny),
+        lost=float((is_dropped & (stand_in < 0)).sum() / max(1, has_face.sum())),
     )
+
+
+def _is_large_hole(finding: Finding) -> bool:
+    """Whether a hole is too large to be filled, though smaller ones are."""
+    return finding.kind == "holes" and finding.share >= SMALL_HOLE
 
 
 def _holds_together(mesh: Mesh) -> bool:
@@ -250,4 +281,5 @@ def _repaired_points(vertices: npt.NDArray[np.float64]) -> Repaired:
     original = np.flatnonzero(finite)[first[order]]
     done = frozenset(finding.kind for finding in findings if finding.always_repaired)
     cloud = PointCloud(points / scale)
-    return Repaired(cloud, cloud.vertices, index, original, diagnosis, done)
+    none = np.full(len(index), -1)
+    return Repaired(cloud, cloud.vertices, index, original, none, diagnosis, done)
