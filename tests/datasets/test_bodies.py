@@ -22,12 +22,12 @@ from esd.mesh.geometry import (
     edges,
     face_areas,
     is_consistently_oriented,
-    signed_volume,
 )
 from esd.mesh.mesh import Mesh
 from esd.mesh.shapes import icosphere
 from esd.mesh.topology import boundary_edges
 from esd.parallel import THIS_PROCESS
+from measures import signed_volume
 
 
 @pytest.fixture(scope="module")

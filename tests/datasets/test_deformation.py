@@ -3,9 +3,9 @@ import pytest
 
 from esd.common import InputError
 from esd.datasets.deformation import deformed
-from esd.mesh.geometry import signed_volume
 from esd.mesh.mesh import Mesh
 from esd.mesh.shapes import icosphere
+from measures import signed_volume
 
 
 def test_copies_keep_their_faces_and_are_not_turned_inside_out():

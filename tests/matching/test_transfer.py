@@ -5,7 +5,6 @@ from esd.common import InputError
 from esd.matching.correspondence import Correspondence
 from esd.matching.transfer import (
     aligned_image,
-    carried_face_labels,
     carried_labels,
     carried_landmarks,
     carried_texture,
@@ -57,9 +56,9 @@ def test_labels_of_vertices_and_faces_are_carried(coarse, fine):
     carried = carried_labels(labels, coarse, vertex_places(coarse, fine, match))
     far = np.abs(fine.vertices[:, 0] - 0.5625) > 0.07
     np.testing.assert_array_equal(carried[far], (fine.vertices[far, 0] > 0.55) + 4)
-    of_faces = np.arange(len(coarse.faces))
-    quarters = carried_face_labels(of_faces, coarse, face_places(coarse, fine, match))
-    np.testing.assert_array_equal(quarters, np.tile(of_faces, 4))
+    # each face is cut in four
+    quarters = face_places(coarse, fine, match).face
+    np.testing.assert_array_equal(quarters, np.tile(np.arange(len(coarse.faces)), 4))
 
 
 def test_of_vertices_with_one_image_the_best_match_speaks():
@@ -84,8 +83,7 @@ def test_parts_out_of_reach_get_nothing():
     values = carried_values(np.ones(42), one, places)
     np.testing.assert_array_equal(np.isnan(values), np.arange(84) >= 42)
     assert set(carried_labels(np.full(42, 7), one, places)[42:]) == {-1}
-    middles = face_places(one, both, match)
-    assert set(carried_face_labels(np.full(80, 7), one, middles)[80:]) == {-1}
+    assert set(face_places(one, both, match).face[80:]) == {-1}
     with pytest.raises(InputError, match="no match on any"):
         carried_texture(np.zeros((80, 3, 2)), one, both, match)
 
@@ -173,8 +171,6 @@ def test_what_does_not_fit_is_refused(coarse):
         carried_values(np.ones(3), coarse, places)
     with pytest.raises(InputError, match="label for each vertex of the source"):
         carried_labels(np.ones(3, dtype=int), coarse, places)
-    with pytest.raises(InputError, match="label for each face of the source, 96"):
-        carried_face_labels(np.ones(3, dtype=int), coarse, places)
     with pytest.raises(InputError, match="map has 3 vertices; the source mesh has 63"):
         vertex_places(coarse, coarse, exact([0, 1, 2]))
     with pytest.raises(InputError, match="names target vertex 63"):

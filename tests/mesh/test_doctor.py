@@ -11,7 +11,6 @@ from esd.mesh.geometry import (
     components,
     is_consistently_oriented,
     is_referenced,
-    signed_volume,
     surface_area,
 )
 from esd.mesh.mesh import Mesh, PointCloud
@@ -20,6 +19,7 @@ from esd.mesh.repair.repair import repair
 from esd.mesh.shapes import grid, icosphere, torus
 from esd.mesh.topology import boundary_edges
 from esd.spectral.spectrum import spectrum
+from measures import signed_volume
 
 SPHERE = icosphere(3)
 COUNT = len(SPHERE.vertices)

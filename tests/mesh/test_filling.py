@@ -1,10 +1,11 @@
 import numpy as np
 
-from esd.mesh.geometry import is_consistently_oriented, signed_volume
+from esd.mesh.geometry import is_consistently_oriented
 from esd.mesh.mesh import Mesh
 from esd.mesh.repair.filling import holes_filled
 from esd.mesh.shapes import grid, icosphere
 from esd.mesh.topology import boundary_edges
+from measures import signed_volume
 
 SPHERE = icosphere(4)
 

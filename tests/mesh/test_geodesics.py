@@ -4,7 +4,6 @@ import pytest
 from esd.common import InputError
 from esd.mesh.geodesics import geodesic_diameter, geodesic_distances, geodesic_graph
 from esd.mesh.mesh import Mesh
-from esd.mesh.sampling import sample_by_area, sample_farthest
 from esd.mesh.shapes import grid, icosphere
 
 
@@ -55,27 +54,6 @@ def test_diameter_of_a_square_is_its_diagonal():
 def test_sources_must_be_vertices(sphere):
     with pytest.raises(InputError, match="`sources` must be from 0 to"):
         geodesic_distances(sphere, np.array([len(sphere.vertices)]))
-
-
-def test_farthest_samples_spread_and_are_distinct(sphere):
-    sample = sample_farthest(sphere, 12, seed=1, graph=geodesic_graph(sphere))
-    corners = sphere.vertices[sample]
-    angles = np.arccos(np.clip(corners @ corners.T, -1, 1))[np.triu_indices(12, 1)]
-    assert angles.min() > 0.6  # an icosahedron's corners are 1.1 apart, greedy choice nearly half
-    np.testing.assert_array_equal(sample, sample_farthest(sphere, 12, seed=1))
-
-
-def test_area_samples_follow_the_area():
-    mesh = grid(40, 40)
-    x, y, z = mesh.vertices.T
-    stretched = Mesh(np.stack([np.where(x > 0.5, 3 * x - 1, x), y, z], axis=1), mesh.faces)
-    sample = sample_by_area(stretched, 400, seed=0)
-    assert len(np.unique(sample)) == 400
-    share = (stretched.vertices[sample, 0] > 0.5).mean()
-    # three quarters of the area; drawn without replacement: less, since that half runs short
-    assert 0.65 < share < 0.78
-    with pytest.raises(InputError, match="`count` must be from 1 to 1600"):
-        sample_by_area(stretched, 1601)
 
 
 def test_distance_from_the_nearest_of_several_sources(blob):

@@ -10,7 +10,6 @@ from esd.mesh.geometry import (
     face_areas,
     face_normals,
     is_consistently_oriented,
-    signed_volume,
     surface_area,
 )
 from esd.mesh.mesh import Mesh
@@ -19,6 +18,7 @@ from esd.mesh.remesh.styles import STYLES, Style
 from esd.mesh.shapes import grid, icosphere, torus
 from esd.mesh.surface import positions
 from esd.mesh.topology import boundary_edges
+from measures import signed_volume
 
 
 def euler_characteristic(mesh):

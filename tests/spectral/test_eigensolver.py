@@ -15,7 +15,8 @@ from esd.mesh.shapes import grid, icosphere, torus
 from esd.spectral import eigensolver
 from esd.spectral.eigensolver import Eigenpairs, eigenpairs
 from esd.spectral.factorisation import UnstableError, factorise
-from esd.spectral.laplacian import consistent_mass, lumped_mass, stiffness
+from esd.spectral.laplacian import lumped_mass, stiffness
+from measures import consistent_mass
 
 
 def solve(mesh: Mesh, k: int, **options) -> Eigenpairs:

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from esd.common import BoolArray, FloatArray, IntArray
 from esd.mesh.geometry import vertex_areas, vertex_normals
 from esd.mesh.mesh import Mesh
+from esd.mesh.sampling import spread
 from esd.mesh.topology import boundary_edges
 
 _NORMAL = 0.2  # weight of unit normals beside positions of unit root mean square radius
@@ -173,7 +174,7 @@ def deformed(
     Myronenko, Song 2010, *Point set registration: coherent point drift*.
     """
     tree = KDTree(target.keys())
-    centre = source.points[source.sample][_spread(source.points[source.sample], centres)]
+    centre = source.points[source.sample][spread(source.points[source.sample], centres)]
 
     def kernel(points: FloatArray) -> FloatArray:
         squared = ((points[:, None] - centre) ** 2).sum(axis=2)
@@ -318,13 +319,3 @@ def _fit(
         size = (stretch * flips).sum() / (weight @ (x**2).sum(axis=1))
         linear = size * u @ np.diag(flips) @ vt
     return linear, other - linear @ middle
-
-
-def _spread(points: FloatArray, count: int) -> IntArray:
-    """Some of the points, each the farthest from those before it."""
-    chosen = [0]
-    distance = ((points - points[0]) ** 2).sum(axis=1)
-    while len(chosen) < min(count, len(points)):
-        chosen.append(int(distance.argmax()))
-        distance = np.minimum(distance, ((points - points[chosen[-1]]) ** 2).sum(axis=1))
-    return np.array(chosen)

@@ -82,18 +82,6 @@ def carried_labels(labels: IntArray, source: Mesh, places: SurfacePoints) -> Int
     return np.where(places.face >= 0, winner, -1)
 
 
-def carried_face_labels(labels: IntArray, source: Mesh, places: SurfacePoints) -> IntArray:
-    """Labels (m,) of the source's faces at some places; -1 for none.
-
-    Raises
-    ------
-    InputError
-        If there is not one label for each face of the source.
-    """
-    _check_length(labels, len(source.faces), "label for each face")
-    return np.where(places.face >= 0, np.asarray(labels)[places.face], -1)
-
-
 def carried_texture(
     coordinates: FloatArray, source: Mesh, target: Mesh, match: Correspondence
 ) -> FloatArray:

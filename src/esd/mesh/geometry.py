@@ -1,4 +1,4 @@
-"""Areas, normals, edges and volumes of meshes."""
+"""Areas, normals and edges of meshes."""
 
 from __future__ import annotations
 
@@ -91,15 +91,6 @@ def components(mesh: Mesh) -> IntArray:
     result = np.full(size, -1, dtype=np.int64)
     result[referenced] = rank[inverse]
     return result
-
-
-def signed_volume(mesh: Mesh) -> float:
-    """Signed volume inside a closed surface, in cubed units; positive if normals point outward.
-
-    For an open surface it is the volume of the cone over it seen from the mean of the vertices.
-    """
-    a, b, c = ((mesh.vertices - mesh.vertices.mean(axis=0))[mesh.faces[:, i]] for i in range(3))
-    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
 
 
 def is_consistently_oriented(mesh: Mesh) -> bool:

@@ -1,27 +1,13 @@
-"""Samples of a surface's vertices."""
+"""Vertices spread over a surface."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from esd.common import InputError, IntArray
+from esd.common import FloatArray, InputError, IntArray
 from esd.mesh.geodesics import EdgeGraph, geodesic_graph
-from esd.mesh.geometry import is_referenced, vertex_areas
+from esd.mesh.geometry import is_referenced
 from esd.mesh.mesh import Mesh
-
-
-def sample_by_area(mesh: Mesh, count: int, *, seed: int = 0) -> IntArray:
-    """Distinct vertices, (count,), drawn with probability proportional to their area.
-
-    Raises
-    ------
-    InputError
-        If there are fewer than `count` vertices with area.
-    """
-    area = vertex_areas(mesh)
-    _check_count(count, int((area > 0).sum()))
-    generator = np.random.default_rng(seed)
-    return generator.choice(len(area), size=count, replace=False, p=area / area.sum())
 
 
 def sample_farthest(
@@ -43,7 +29,8 @@ def sample_farthest(
         If there are fewer than `count` vertices with a face.
     """
     candidates = np.flatnonzero(is_referenced(mesh))
-    _check_count(count, len(candidates))
+    if not 1 <= count <= len(candidates):
+        raise InputError(f"`count` must be from 1 to {len(candidates)} for this mesh; got {count}.")
     graph = geodesic_graph(mesh) if graph is None else graph
     distance = np.full(len(mesh.vertices), -np.inf)
     distance[candidates] = np.inf
@@ -55,6 +42,14 @@ def sample_farthest(
     return chosen
 
 
-def _check_count(count: int, available: int) -> None:
-    if not 1 <= count <= available:
-        raise InputError(f"`count` must be from 1 to {available} for this mesh; got {count}.")
+def spread(points: FloatArray, count: int) -> IntArray:
+    """Some of the points (n, d), (count,), each the farthest in space from those before it.
+
+    The first is the first of the points. All of them if there are fewer.
+    """
+    chosen = [0]
+    distance = ((points - points[0]) ** 2).sum(axis=1)
+    while len(chosen) < min(count, len(points)):
+        chosen.append(int(distance.argmax()))
+        distance = np.minimum(distance, ((points - points[chosen[-1]]) ** 2).sum(axis=1))
+    return np.array(chosen)

@@ -93,16 +93,6 @@ def lumped_mass(mesh: Mesh) -> FloatArray:
     return np.where(is_referenced(mesh), np.maximum(area, floor), 0.0)
 
 
-def consistent_mass(mesh: Mesh) -> SparseMatrix:
-    """Mass matrix (n, n) of linear finite elements, in squared units; its sum is the area."""
-    area = _heron(edge_lengths(mesh))
-    rows = mesh.faces[:, [0, 1, 2, 1, 2, 0, 2, 0, 1]].ravel()
-    columns = mesh.faces[:, [0, 1, 2, 2, 0, 1, 1, 2, 0]].ravel()
-    shares = area[:, None] * np.repeat([1 / 6, 1 / 12], [3, 6])
-    size = len(mesh.vertices)
-    return sparse.coo_array((shares.ravel(), (rows, columns)), shape=(size, size)).tocsc()
-
-
 def _heron(lengths: FloatArray) -> FloatArray:
     """Areas of triangles from their sides (m, 3), in Kahan's order, exact for slivers."""
     c, b, a = np.sort(lengths, axis=1).T
