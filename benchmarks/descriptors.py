@@ -22,11 +22,11 @@ from esd.descriptors.wks import wave_energies, wks
 from esd.spectral.spectrum import spectrum
 
 
-def ours(pairs):
+def ours(eigenpairs):
     start = time.process_time()
-    heat = hks(pairs)
+    heat = hks(eigenpairs)
     middle = time.process_time()
-    wave = wks(pairs)
+    wave = wks(eigenpairs)
     return {"hks": heat, "wks": wave, "cpu": [middle - start, time.process_time() - middle]}
 
 
@@ -37,15 +37,15 @@ def main() -> None:
     options = parser.parse_args()
     table("n", "", "HKS, s", "WKS, s", "difference of HKS", "of WKS")
     for size in options.sizes:
-        pairs = spectrum(bumpy_torus(size))
-        energies, width = wave_energies(pairs)
+        eigenpairs = spectrum(bumpy_torus(size))
+        energies, width = wave_energies(eigenpairs)
         with tempfile.TemporaryDirectory() as name:
             given, made = Path(name) / "spectrum.npz", Path(name) / "made.npz"
             np.savez(
                 given,
-                eigenvalues=pairs.eigenvalues,
-                eigenvectors=pairs.eigenvectors,
-                times=heat_times(pairs),
+                eigenvalues=eigenpairs.eigenvalues,
+                eigenvectors=eigenpairs.eigenvectors,
+                times=heat_times(eigenpairs),
                 energies=energies,
                 width=width,
             )
@@ -53,7 +53,7 @@ def main() -> None:
             for _ in range(options.rounds):
                 for peer in ("esd", "pyfm", "lapy"):
                     if peer == "esd":
-                        found[peer] = ours(pairs)
+                        found[peer] = ours(eigenpairs)
                     else:
                         cost(job(peer, "descriptors", given, made))
                         with np.load(made) as file:

@@ -1,6 +1,6 @@
 """From two mesh files to a map: esd, pyFM and geomfum, whole processes.
 
-    python benchmarks/match.py                         # bodies of people kept for testing
+    python benchmarks/match.py                         # bodies of people held out for testing
     python benchmarks/match.py FAUST_R --pairs tr_reg_060,tr_reg_071 tr_reg_065,tr_reg_073
 
 Each run is a process that reads two files and writes a map. The methods take turns (A B C A B C),

@@ -1,6 +1,6 @@
 """Refinement of one first map: esd's ways and pyFM's ZoomOut.
 
-    python benchmarks/refinement.py                       # bodies of people kept for testing
+    python benchmarks/refinement.py                       # bodies of people held out for testing
     python benchmarks/refinement.py FAUST_R --pairs tr_reg_060,tr_reg_071
 
 The first map is the nearest neighbour of the default model. Seconds of CPU in one process, without
@@ -44,8 +44,8 @@ def refined(way, spectra, rows, first, folder):
         return first, 0.0
     if way.startswith("pyFM"):
         files = [folder / name for name in ("source.npz", "target.npz", "first.npy", "map.npy")]
-        for file, pairs in zip(files, spectra, strict=False):
-            np.savez(file, eigenvectors=pairs.eigenvectors, mass=pairs.mass)
+        for file, spectrum in zip(files, spectra, strict=False):
+            np.savez(file, eigenvectors=spectrum.eigenvectors, mass=spectrum.mass)
         np.save(files[2], first)
         done = cost(job("pyfm", "refine", *files))
         return np.load(files[3]), float(done.output)

@@ -80,7 +80,7 @@ def test_a_training_that_is_killed_goes_on_and_becomes_the_same(shapes, tmp_path
 def test_an_ended_command_leaves_one_line_at_most_and_no_file(tmp_path, number):
     code = (
         "import signal, sys, time; from pathlib import Path; from esd.cli import app\n"
-        # as in a terminal: what runs in the background may have been told to ignore it
+        # as in a terminal: what runs in the background may have been set to ignore it
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "from esd.common import whole_file\n"
         "def slow(args):\n"

@@ -23,7 +23,7 @@ from esd.spectral.cache import default_cache
 
 MODELS = Path(__file__).parents[1] / "src" / "esd" / "learning" / "models"
 BUNDLED = ("oriented", "paper-gps", "paper-hks", "paper-wks")  # presets
-HELD_OUT = "s1[0-3]_p0[0369]"  # the subjects kept for testing, in four poses
+HELD_OUT = "s1[0-3]_p0[0369]"  # the subjects held out for testing, in four poses
 
 
 def figures(model: Model, collection: Collection, *, refine: bool) -> str:

@@ -144,8 +144,8 @@ def test_bad_input_ends_with_one_line_and_leaves_nothing(shapes, tmp_path):
 
 def test_a_map_by_way_of_coarse_copies(shapes, tmp_path):
     pair = (shapes / "tr_reg_000.off", shapes / "tr_reg_030.off", "-m", "hks", "--coarse", 350)
-    told = json.loads(run("match", *pair, "-o", tmp_path / "m.npy", "--json").stdout)
-    assert told["matched"] == len(np.load(tmp_path / "m.npy")) == 384
+    printed = json.loads(run("match", *pair, "-o", tmp_path / "m.npy", "--json").stdout)
+    assert printed["matched"] == len(np.load(tmp_path / "m.npy")) == 384
     refused = run("match", *pair, "--one-to-one", "-o", tmp_path / "n.npy", expect=2)
     assert "--one-to-one or --coarse, not both" in refused.stderr
 

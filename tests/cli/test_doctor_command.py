@@ -21,10 +21,10 @@ def test_the_doctor_tells_and_repairs(blob, tmp_path):
     broken, fixed = tmp_path / "broken.ply", tmp_path / "fixed.ply"
     faces = blob.faces[(blob.faces != 9).all(axis=1)][:, ::-1]
     write_mesh(Mesh(np.concatenate([blob.vertices, [[5, 5, 5]]]), faces), broken)
-    told = run("doctor", broken).stdout
-    assert "2 vertices without a face" in told
-    assert "1 piece turned inside out" in told
-    assert "Remedy, with --repair: filled where the rim" in told
+    printed = run("doctor", broken).stdout
+    assert "2 vertices without a face" in printed
+    assert "1 piece turned inside out" in printed
+    assert "Remedy, with --repair: filled where the rim" in printed
     found = json.loads(run("doctor", broken, "--repair", fixed, "--json").stdout)
     assert {f["kind"] for f in found["findings"]} >= {"unreferenced_vertices", "holes"}
     assert found["severity"] == "slight"

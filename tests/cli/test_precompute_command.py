@@ -7,8 +7,8 @@ def test_a_store_is_made_trained_on_and_brought_up_to_date(shapes, tmp_path):
     store = tmp_path / "s.h5"
     made = ("precompute", shapes, "-o", store, "--preset", "paper-gps", "--workers", 2)
     assert "4 shapes computed, 0 unchanged" in run(*made).stdout
-    told = json.loads(run(*made, "--json").stdout)
-    assert (told["computed"], told["unchanged"], told["failed"]) == (0, 4, {})
+    printed = json.loads(run(*made, "--json").stdout)
+    assert (printed["computed"], printed["unchanged"], printed["failed"]) == (0, 4, {})
     trained = ("train", store, "--preset", "paper-gps", "--steps", 5, "--include", "*[0-2]0")
     assert "5 steps on 3 shapes" in run(*trained, "-o", tmp_path / "m").stdout
     done = run("train", store, "--preset", "paper-hks", "-o", tmp_path / "n", expect=1)

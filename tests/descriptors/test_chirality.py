@@ -25,14 +25,14 @@ def test_pairs_reach_to_the_next_fields():
 
 def test_products_of_linear_fields_are_sine_and_cosine_of_their_angle():
     mesh = grid(12, 9)
-    pairs = spectrum(mesh, 40)
+    found = spectrum(mesh, 40)
     x, y, _ = mesh.vertices.T
     fields = np.stack([x, y, 3 * x + 3 * y], axis=1)
     which = np.array([[0, 1], [0, 2], [1, 2]])
     half = np.sqrt(0.5)
     for parity, expected in (("odd", [1, half, -half]), ("even", [0, half, half])):
         values = gradient_products(
-            mesh, pairs, fields, pairs=which, times=np.array([0.001, 0.1]), parity=parity
+            mesh, found, fields, pairs=which, times=np.array([0.001, 0.1]), parity=parity
         )
         # constant densities, which diffusion leaves: only rounding is left
         np.testing.assert_allclose(values, np.tile(expected * 2, (len(x), 1)), atol=1e-7)
@@ -75,10 +75,10 @@ def test_an_outside_that_is_not_defined_is_refused(blob):
     faces = blob.faces.copy()
     faces[5] = faces[5, ::-1]
     torn = Mesh(blob.vertices, faces)
-    pairs, which = spectrum(torn, 80), neighbour_pairs(2, reach=1)
+    found, which = spectrum(torn, 80), neighbour_pairs(2, reach=1)
     with pytest.raises(InputError, match="inconsistently oriented"):
         gradient_products(
-            torn, pairs, torn.vertices[:, :2], pairs=which, times=np.ones(1), parity="odd"
+            torn, found, torn.vertices[:, :2], pairs=which, times=np.ones(1), parity="odd"
         )
     with pytest.raises(InputError, match="not of one shape"):
         gradient_products(

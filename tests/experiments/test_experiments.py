@@ -158,7 +158,7 @@ def test_table2_compares_methods_on_ever_more_different_subjects(compared, tmp_p
             assert (np.diff(curve) >= 0).all()
             at_5_percent = curve[np.searchsorted(comparison.RADII, 0.05)]
             assert 100 * at_5_percent == pytest.approx(group.accuracies(method).mean())
-    # trained on one subject, watched on the other, as HKS is not
+    # trained on one subject, validated on the other, as HKS is not
     shapes = {tuple(model.card.get("shapes", ())) for model in outcome.models.values()}
     assert len(shapes) == 2
     tables = {table.name: table for table in outcome.report.tables}

@@ -124,23 +124,23 @@ def test_what_would_lie_in_a_hole_goes_to_its_rim_without_confidence(blob):
     np.testing.assert_array_equal(np.flatnonzero(back.is_matched()), kept)
 
 
-def test_a_spectrum_of_a_repaired_mesh_is_carried_back_whole(blob):
+def test_a_each_a_repaired_mesh_is_carried_back_whole(blob):
     torn = blob.vertices[blob.faces].reshape(-1, 3), np.arange(blob.faces.size).reshape(-1, 3)
     repaired = repair(torn)
-    pairs = spectrum(repaired.shape, 20).carried(repaired.vertex_index)
-    assert pairs.eigenvectors.shape == (blob.faces.size, 20)
-    gram = pairs.eigenvectors.T @ (pairs.mass[:, None] * pairs.eigenvectors)
+    found = spectrum(repaired.shape, 20).carried(repaired.vertex_index)
+    assert found.eigenvectors.shape == (blob.faces.size, 20)
+    gram = found.eigenvectors.T @ (found.mass[:, None] * found.eigenvectors)
     np.testing.assert_allclose(gram, np.eye(20), atol=1e-9)
-    np.testing.assert_allclose(pairs.eigenvalues, spectrum(blob, 20).eigenvalues, rtol=1e-9)
+    np.testing.assert_allclose(found.eigenvalues, spectrum(blob, 20).eigenvalues, rtol=1e-9)
 
 
 def test_points_of_a_sphere_have_its_eigenvalues():
     cloud = PointCloud(icosphere(4).vertices)
-    pairs = spectrum(cloud, 16)
+    found = spectrum(cloud, 16)
     degree = np.repeat(np.arange(4), 2 * np.arange(4) + 1)
     # unit area; 2,562 points of a cloud are good for about a hundredth
-    np.testing.assert_allclose(pairs.eigenvalues, degree * (degree + 1) * 4 * np.pi, rtol=0.05)
-    assert pairs.zero_modes == 1
+    np.testing.assert_allclose(found.eigenvalues, degree * (degree + 1) * 4 * np.pi, rtol=0.05)
+    assert found.zero_modes == 1
 
 
 def test_points_are_described_and_matched(blob):
@@ -171,15 +171,15 @@ def test_a_cloud_and_its_mesh_have_nearly_equal_signatures():
     mesh = icosphere(4)
     bent = Mesh(mesh.vertices * [1, 1.5, 2 + 0.3 * mesh.vertices[:, 0].mean()], mesh.faces)
     pair = spectrum(bent, 60), spectrum(PointCloud(bent.vertices), 60)
-    first, second = (np.log(hks(pairs, times=np.array([0.01, 0.05]))) for pairs in pair)
+    first, second = (np.log(hks(each, times=np.array([0.01, 0.05]))) for each in pair)
     assert np.corrcoef(first.ravel(), second.ravel())[0, 1] > 0.99
 
 
-def test_faces_wound_at_random_make_no_map_look_mirrored(blob):
+def test_faces_oriented_at_random_make_no_map_look_mirrored(blob):
     model = Model("m", Recipe((Descriptor("hks", 20),), eigenpairs=40), np.zeros(20), np.ones(20))
     for seed in range(6):  # about half of which are put right the wrong way round at first
         turned = np.random.default_rng(seed).random((len(blob.faces), 1)) < 0.5
-        wound = Mesh(blob.vertices, np.where(turned, blob.faces[:, ::-1], blob.faces))
-        found = match(wound, blob, model=model)
+        flipped = Mesh(blob.vertices, np.where(turned, blob.faces[:, ::-1], blob.faces))
+        found = match(flipped, blob, model=model)
         assert (found.target_index == np.arange(len(blob.vertices))).all()
         assert found.judgement.verdict == "good"

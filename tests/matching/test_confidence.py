@@ -50,7 +50,7 @@ def test_confidence_falls_where_the_map_is_wrong_and_is_zero_without_a_match(blo
 
 def test_a_map_to_the_mirror_image_turns_the_surface_over(blob, truth):
     mirror = Mesh(blob.vertices * [-1, 1, 1], blob.faces)  # inside out
-    assert orientation(blob, mirror, truth) == pytest.approx(1)  # as the faces are wound
+    assert orientation(blob, mirror, truth) == pytest.approx(1)  # as the faces are oriented
     outward = Mesh(mirror.vertices, mirror.faces[:, ::-1])
     assert orientation(blob, outward, truth) == pytest.approx(-1)
     values = confidence(blob, outward, truth, truth)

@@ -15,7 +15,7 @@ from esd.spectral.coarse import MeshCopy, coarse_copy
 
 
 def shuffled(mesh: Mesh) -> tuple[Mesh, np.ndarray]:
-    """The mesh with its vertices in another order, and a loose one, and where each vertex went."""
+    """The mesh with its vertices in another order, and a loose one, and the new index of each vertex."""
     order = np.random.default_rng(0).permutation(len(mesh.vertices))
     rank = np.argsort(order)
     return Mesh(np.vstack([mesh.vertices[order], [[9, 9, 9]]]), rank[mesh.faces]), rank

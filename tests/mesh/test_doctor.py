@@ -131,7 +131,7 @@ def test_faces_that_are_twice_there_or_collapsed_go():
 
 
 @pytest.mark.parametrize("share", [0.1, 0.5])
-def test_winding_becomes_one_and_outward(share):
+def test_faces_become_consistently_oriented_and_outward(share):
     turned = np.random.default_rng(0).random(len(SPHERE.faces)) < share
     faces = np.where(turned[:, None], SPHERE.faces[:, ::-1], SPHERE.faces)
     assert "inconsistent_winding" in found((SPHERE.vertices, faces))
@@ -377,7 +377,7 @@ def test_a_vertex_far_away_and_a_ground_plane_are_left_out(blob):
     assert "spikes" not in found(blob)
 
 
-# different places that scaling rounds to one; edges of more than two faces that remained
+# different places that scaling rounds to one; non-manifold edges that remained
 FAR_VERTICES = (
     np.array([[1.0, 1, 1], [0, 1, 1], *[[1.0, 1, 1]] * 3, [1e308, 1, 1], [1, 1, 1], [1, 1e308, 1]]),
     np.array([[0, 1, 7], [0, 5, 7], [2, 5, 7]]),

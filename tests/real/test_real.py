@@ -23,8 +23,8 @@ def test_collections_are_read_whole(real_data):
 
 def test_spectrum_of_a_person_is_orthonormal(real_data):
     mesh = open_collection(real_data / "faust_r")["tr_reg_000"].mesh()
-    pairs = spectrum(mesh, 100)
-    gram = pairs.eigenvectors.T @ (pairs.mass[:, None] * pairs.eigenvectors)
+    found = spectrum(mesh, 100)
+    gram = found.eigenvectors.T @ (found.mass[:, None] * found.eigenvectors)
     np.testing.assert_allclose(gram, np.eye(100), atol=1e-9)
 
 

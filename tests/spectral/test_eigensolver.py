@@ -372,7 +372,7 @@ def test_a_ceiling_at_which_nothing_can_be_told_is_moved_within_its_gap(monkeypa
 
     def unstable_twice(matrix, weights, shift):
         shifts.append(shift)
-        if len(shifts) in (2, 3):  # the first is amid the spectrum, the next are ceilings
+        if len(shifts) in (2, 3):  # the first is interior to the spectrum, the next are ceilings
             raise UnstableError("inaccurate")
         return factorise(matrix, weights, shift)
 

@@ -66,15 +66,15 @@ def test_sphere_eigenvalues_converge_at_order_two():
 
 
 def test_eigenvectors_are_orthonormal_and_scaling_laws_hold(blob):
-    pairs = spectrum(blob, 30)
-    gram = pairs.eigenvectors.T @ (pairs.mass[:, None] * pairs.eigenvectors)
+    found = spectrum(blob, 30)
+    gram = found.eigenvectors.T @ (found.mass[:, None] * found.eigenvectors)
     np.testing.assert_allclose(gram, np.eye(30), atol=1e-9)  # the solver's tolerance
-    assert pairs.area == pytest.approx(1)
+    assert found.area == pytest.approx(1)
     scaled = spectrum(Mesh(7 * blob.vertices, blob.faces), 30)
-    np.testing.assert_allclose(scaled.eigenvalues, pairs.eigenvalues, rtol=1e-8, atol=1e-8)
-    double = pairs.with_area(2.0)
+    np.testing.assert_allclose(scaled.eigenvalues, found.eigenvalues, rtol=1e-8, atol=1e-8)
+    double = found.with_area(2.0)
     assert double.area == pytest.approx(2)
-    np.testing.assert_allclose(double.eigenvalues, pairs.eigenvalues / 2)
+    np.testing.assert_allclose(double.eigenvalues, found.eigenvalues / 2)
     gram = double.eigenvectors.T @ (double.mass[:, None] * double.eigenvectors)
     np.testing.assert_allclose(gram, np.eye(30), atol=1e-9)
 
@@ -86,13 +86,13 @@ def test_each_component_has_a_zero_mode_and_lone_vertices_are_zero():
         np.concatenate([mesh.vertices, 0.7 * mesh.vertices, [[5, 5, 5]]]),
         np.concatenate([mesh.faces, mesh.faces + count]),
     )
-    pairs = spectrum(two, 12)
-    assert pairs.zero_modes == 2
-    assert (pairs.eigenvalues[:2] == 0).all()
-    assert pairs.eigenvalues[2] > 1
-    assert pairs.mass[-1] == 0
-    assert (pairs.eigenvectors[-1] == 0).all()
-    assert pairs.nonzero()[1].shape == (2 * count + 1, 10)
+    found = spectrum(two, 12)
+    assert found.zero_modes == 2
+    assert (found.eigenvalues[:2] == 0).all()
+    assert found.eigenvalues[2] > 1
+    assert found.mass[-1] == 0
+    assert (found.eigenvectors[-1] == 0).all()
+    assert found.nonzero()[1].shape == (2 * count + 1, 10)
 
 
 def test_impossible_numbers_of_eigenpairs_are_refused():
@@ -110,13 +110,13 @@ def test_impossible_numbers_of_eigenpairs_are_refused():
 
 
 def test_saved_spectra_hold_every_array(tmp_path, sphere):
-    pairs = spectrum(sphere, 10)
-    save_spectrum(pairs, tmp_path / "s.npz")
+    found = spectrum(sphere, 10)
+    save_spectrum(found, tmp_path / "s.npz")
     with np.load(tmp_path / "s.npz", allow_pickle=False) as file:
-        np.testing.assert_array_equal(file["eigenvectors"], pairs.eigenvectors)
+        np.testing.assert_array_equal(file["eigenvectors"], found.eigenvectors)
         assert file["zero_modes"] == 1
     with pytest.raises(InputError, match=r"\.npz"):
-        save_spectrum(pairs, tmp_path / "s.txt")
+        save_spectrum(found, tmp_path / "s.txt")
 
 
 def test_cache_returns_what_it_keeps_and_only_for_equal_content(tmp_path, sphere, blob):

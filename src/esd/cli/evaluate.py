@@ -75,7 +75,7 @@ def evaluate(
     """Measure how far the maps of models are from the known correspondences of DATASET.
 
     Without --pairs or --include, all pairs of different subjects are mapped, of 'bodies' only
-    those of the subjects kept for testing.
+    those of the subjects held out for testing.
     """
     from dataclasses import asdict
 

@@ -39,11 +39,11 @@ def train(
         str | None,
         typer.Option(
             metavar="GLOB",
-            help="Shapes kept out of the training, on which the best weights are chosen.",
+            help="Shapes held out of the training, on which the best weights are chosen.",
         ),
     ] = None,
     hold_out: Annotated[
-        int, typer.Option(min=0, help="Instead: number of subjects kept out, drawn by the seed.")
+        int, typer.Option(min=0, help="Instead: number of subjects held out, drawn by the seed.")
     ] = 0,
     seed: Annotated[int, typer.Option(min=0, help="Of all that is random.")] = 0,
     steps: Annotated[int | None, typer.Option(min=1, help="Instead of the preset's.")] = None,

@@ -41,7 +41,7 @@ def unseen_subjects(
     ----------
     patterns
         Names of the shapes to test on, see `Collection.including`; all shapes of their subjects
-        are kept out of the training. By default those of the collection's `testing_subjects`, or,
+        are held out of the training. By default those of the collection's `testing_subjects`, or,
         where there are none, of the last quarter of its subjects, but of at least `least`.
 
     Raises

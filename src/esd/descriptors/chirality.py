@@ -10,7 +10,7 @@ from scipy import sparse
 
 from esd.common import FloatArray, InputError, IntArray
 from esd.mesh.mesh import Mesh
-from esd.mesh.topology import SLIVER, has_sides, quality
+from esd.mesh.topology import SLIVER, has_orientation, quality
 from esd.spectral.laplacian import cotangents
 from esd.spectral.spectrum import Spectrum
 
@@ -73,7 +73,7 @@ def gradient_products(
             f"The mesh has {len(mesh.vertices)} vertices, the spectrum {len(spectrum.mass)} and "
             f"the fields {len(fields)}: they are not of one shape."
         )
-    if parity == "odd" and not has_sides(mesh):
+    if parity == "odd" and not has_orientation(mesh):
         raise InputError(
             "The mesh is inconsistently oriented, so that its outside is not defined, and left and "
             "right cannot be distinguished. Repair it first (esd doctor MESH --repair OUT), or use "

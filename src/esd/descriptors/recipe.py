@@ -1,4 +1,4 @@
-"""A recipe says which descriptors are computed and how; it is data, and part of every model."""
+"""A recipe: which descriptors are computed and how. It is data, and part of every model."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from esd.descriptors.sihks import sihks
 from esd.descriptors.wks import wks
 from esd.mesh.geometry import surface_area
 from esd.mesh.mesh import Mesh, PointCloud
-from esd.mesh.topology import turned_outward
+from esd.mesh.topology import oriented_outward
 from esd.spectral.cache import Cache
 from esd.spectral.laplacian import LaplacianKind
 from esd.spectral.spectrum import Spectrum, spectrum
@@ -41,7 +41,7 @@ class Descriptor:
     ----------
     kind
         One of `DESCRIPTOR_KINDS`, or one of the `gradient_products`: `chirality` (odd) or
-        `alignment` (even), on the mesh `turned_outward`.
+        `alignment` (even), on the mesh `oriented_outward`.
     count
         Number of its components.
     log
@@ -214,15 +214,17 @@ def recipe_spectrum(
     recipe: Recipe, shape: Mesh | PointCloud, *, cache: Cache | None = None
 ) -> Spectrum:
     """The spectrum of a shape that a recipe asks for."""
-    pairs = spectrum(shape, recipe.eigenpairs, kind=recipe.laplacian, cache=cache)
+    found = spectrum(shape, recipe.eigenpairs, kind=recipe.laplacian, cache=cache)
     if recipe.unit_area:
-        return pairs
+        return found
     if isinstance(shape, PointCloud):
         raise InputError("The area of a point cloud is not known; take a recipe for unit area.")
-    return pairs.with_area(surface_area(shape))
+    return found.with_area(surface_area(shape))
 
 
-def spectrum_descriptors(recipe: Recipe, shape: Mesh | PointCloud, pairs: Spectrum) -> FloatArray:
+def spectrum_descriptors(
+    recipe: Recipe, shape: Mesh | PointCloud, spectrum: Spectrum
+) -> FloatArray:
     """Values of a recipe's descriptors from the `recipe_spectrum` of a shape, (n, recipe.width).
 
     Raises
@@ -236,45 +238,45 @@ def spectrum_descriptors(recipe: Recipe, shape: Mesh | PointCloud, pairs: Spectr
             f"Points have no faces, which '{products[0].kind}' needs; take hks, wks or gps, or a "
             "model of these."
         )
-    outward = turned_outward(shape) if products and isinstance(shape, Mesh) else None
-    fields = _fields(recipe, pairs)
-    values = np.empty((len(pairs.mass), recipe.width))  # filled part by part: the largest array
+    outward = oriented_outward(shape) if products and isinstance(shape, Mesh) else None
+    fields = _fields(recipe, spectrum)
+    values = np.empty((len(spectrum.mass), recipe.width))  # filled part by part: the largest array
     end = 0
     for i, part in enumerate(recipe.descriptors):
         start, end = end, end + part.count
         values[:, start:end] = (
-            _gradient_values(part, outward, pairs, fields[i])
+            _gradient_values(part, outward, spectrum, fields[i])
             if outward and i in fields
-            else _values(part, pairs)
+            else _values(part, spectrum)
         )
-    values[pairs.mass == 0] = np.nan
+    values[spectrum.mass == 0] = np.nan
     return values
 
 
-def _fields(recipe: Recipe, pairs: Spectrum) -> dict[int, FloatArray]:
+def _fields(recipe: Recipe, spectrum: Spectrum) -> dict[int, FloatArray]:
     """The fields whose gradients are multiplied, (n, c), by the place of their part."""
     parts = {i: part for i, part in enumerate(recipe.descriptors) if part.kind in _PRODUCTS}
     result = {}
     for of in {part.options["of"] for part in parts.values()}:
-        every = _values(Descriptor(of, _WIDTHS[of], log=True), pairs)
+        every = _values(Descriptor(of, _WIDTHS[of], log=True), spectrum)
         for i, part in parts.items():
             if part.options["of"] == of:
                 result[i] = every[:, part.options["columns"]]
     return result
 
 
-def _values(part: Descriptor, pairs: Spectrum) -> FloatArray:
+def _values(part: Descriptor, spectrum: Spectrum) -> FloatArray:
     compute: Any = _DESCRIPTORS[part.kind]
-    values: FloatArray = compute(pairs, count=part.count, **part.options)
+    values: FloatArray = compute(spectrum, count=part.count, **part.options)
     return np.log(np.maximum(values, np.finfo(float).tiny)) if part.log else values
 
 
 def _gradient_values(
-    part: Descriptor, mesh: Mesh, pairs: Spectrum, fields: FloatArray
+    part: Descriptor, mesh: Mesh, spectrum: Spectrum, fields: FloatArray
 ) -> FloatArray:
     return gradient_products(
         mesh,
-        pairs,
+        spectrum,
         fields,
         pairs=neighbour_pairs(fields.shape[1], reach=part.options["reach"]),
         times=np.asarray(part.options["times"]),

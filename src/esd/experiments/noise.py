@@ -126,8 +126,8 @@ def _features(models: Mapping[str, Model], mesh: Mesh, cache: Cache | None) -> d
         as_matched = (smoothed, recipe_spectrum(recipe, smoothed.shape, cache=cache))
     features = {}
     for name, model in models.items():
-        shape, pairs = as_it_is if name in _AS_THEY_ARE else as_matched
-        features[name] = shape_features(shape, model=model, pairs=pairs)
+        shape, spectrum = as_it_is if name in _AS_THEY_ARE else as_matched
+        features[name] = shape_features(shape, model=model, spectrum=spectrum)
     return features
 
 

@@ -183,10 +183,10 @@ class Model:
         )
 
     def embed_spectrum(
-        self, mesh: Mesh | PointCloud, pairs: Spectrum, *, cache: Cache | None = None
+        self, mesh: Mesh | PointCloud, spectrum: Spectrum, *, cache: Cache | None = None
     ) -> FloatArray:
         """Embedding (n, outputs) of the vertices of a mesh, from its `recipe_spectrum`."""
-        values = spectrum_descriptors(self.recipe, mesh, pairs)
+        values = spectrum_descriptors(self.recipe, mesh, spectrum)
         if self.patches is None:
             return self.embed(values)
         return self.embed(values, patch_operator(self.patches, mesh, cache=cache))

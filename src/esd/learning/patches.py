@@ -14,7 +14,7 @@ from esd.common import FloatArray, InputError
 from esd.learning.acnn import AnisotropicPatches, anisotropic_patches
 from esd.learning.gcnn import GeodesicPatches, geodesic_patches
 from esd.mesh.mesh import Mesh, PointCloud
-from esd.mesh.topology import has_sides, turned_outward
+from esd.mesh.topology import has_orientation, oriented_outward
 from esd.spectral.cache import Arrays, Cache, content_key
 from esd.spectral.laplacian import SparseMatrix
 
@@ -63,8 +63,8 @@ def patch_operator(
         raise InputError(
             "Points have no faces, which patches need; take hks, wks or gps, or a model of these."
         )
-    mesh = turned_outward(shape)
-    if not has_sides(mesh):
+    mesh = oriented_outward(shape)
+    if not has_orientation(mesh):
         raise InputError(
             "The mesh is inconsistently oriented, so that its outside, and the direction around a "
             "vertex, are not defined. Repair it first (esd doctor MESH --repair OUT)."

@@ -16,7 +16,7 @@ from esd.descriptors.recipe import Recipe, recipe_spectrum, spectrum_descriptors
 from esd.mesh.geodesics import geodesic_graph
 from esd.mesh.geometry import surface_area, vertex_areas, vertex_normals
 from esd.mesh.mesh import Mesh
-from esd.mesh.topology import turned_outward
+from esd.mesh.topology import oriented_outward
 from esd.parallel import THIS_PROCESS, Workers, outcomes
 from esd.spectral.cache import Cache
 
@@ -112,7 +112,7 @@ def shape_samples(
     repaired, template_points, _ = repaired_shape(shape)
     if not isinstance(repaired.shape, Mesh):
         raise InputError("it has no faces, which the descriptors need")
-    mesh = turned_outward(repaired.shape)
+    mesh = oriented_outward(repaired.shape)
     spectrum = recipe_spectrum(recipe, mesh, cache=cache).with_area(1.0)
     known = _landmarks(shape, repaired.vertex_index)
     if is_known:

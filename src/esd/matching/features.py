@@ -123,7 +123,7 @@ def shape_features(
     model: Model,
     coarse: int | None = None,
     resample: bool = False,
-    pairs: Spectrum | None = None,
+    spectrum: Spectrum | None = None,
     cache: Cache | None = None,
 ) -> Features:
     """The spectrum, descriptors and embedding of a shape, or of its coarse copy.
@@ -135,7 +135,7 @@ def shape_features(
     resample
         Whether meshes too coarse for the descriptors, of fewer than two thousand vertices, are
         subdivided first, see `esd.spectral.coarse.fine_copy`.
-    pairs
+    spectrum
         The `recipe_spectrum` of the repaired shape, where it is at hand and there is no copy.
     cache
         Where spectra and copies are looked up and kept.
@@ -151,14 +151,14 @@ def shape_features(
     elif resample and isinstance(repaired.shape, Mesh) and len(repaired.shape.vertices) < _FEWEST:
         copy = fine_copy(repaired.shape, _FEWEST)
     shape = repaired.shape if copy is None else copy.mesh
-    if pairs is None or copy is not None:
-        pairs = recipe_spectrum(model.recipe, shape, cache=cache)
-    values = spectrum_descriptors(model.recipe, shape, pairs)
+    if spectrum is None or copy is not None:
+        spectrum = recipe_spectrum(model.recipe, shape, cache=cache)
+    values = spectrum_descriptors(model.recipe, shape, spectrum)
     operator = None if model.patches is None else patch_operator(model.patches, shape, cache=cache)
     return Features(
         shape,
         repaired.positions if copy is None else shape.vertices,
-        pairs,
+        spectrum,
         values.astype(np.float32),
         model.embed(values, operator),
         repaired.is_flipped,

@@ -94,7 +94,7 @@ def components(mesh: Mesh) -> IntArray:
 
 
 def is_consistently_oriented(mesh: Mesh) -> bool:
-    """Whether neighbouring faces wind the same way: no directed edge occurs twice."""
+    """Whether neighbouring faces are consistently oriented: no directed edge occurs twice."""
     start, end = mesh.faces[:, [1, 2, 0]].ravel(), mesh.faces[:, [2, 0, 1]].ravel()
     key = np.sort(start * len(mesh.vertices) + end)
     return not (key[1:] == key[:-1]).any()

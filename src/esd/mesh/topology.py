@@ -163,8 +163,9 @@ def patches(faces: IntArray, table: EdgeTable) -> tuple[BoolArray, IntArray, Boo
 
     Returns (m,), (m,) and (patches,). Faces of non-orientable patches are unchanged.
 
-    Each face is two nodes, itself and itself turned; neighbours that wind alike join equal nodes,
-    others unequal ones. A patch with two sides falls into two components, one the other's mirror.
+    Each face is two nodes, itself and itself flipped; consistently oriented neighbours join
+    equal nodes, others unequal ones. An orientable patch falls into two components, one the other's
+    mirror.
     """
     count = len(faces)
     inner = table.inner_sides()
@@ -175,24 +176,24 @@ def patches(faces: IntArray, table: EdgeTable) -> tuple[BoolArray, IntArray, Boo
     label = labels(i, j, 2 * count).reshape(2, count)
     _, patch = np.unique(label.min(axis=0), return_inverse=True)
     patch = patch.reshape(-1)
-    one_sided = np.bincount(patch, weights=label[0] == label[1]) > 0
-    turned = label[0] > label[1]
+    non_orientable = np.bincount(patch, weights=label[0] == label[1]) > 0
+    flipped = label[0] > label[1]
     size = np.bincount(patch)
-    minority = 2 * np.bincount(patch, weights=turned) > size
-    return (turned ^ minority[patch]) & ~one_sided[patch], patch, one_sided
+    minority = 2 * np.bincount(patch, weights=flipped) > size
+    return (flipped ^ minority[patch]) & ~non_orientable[patch], patch, non_orientable
 
 
-def has_sides(mesh: Mesh) -> bool:
-    """Whether the two faces of an edge always wind alike; edges of more faces are not asked."""
+def has_orientation(mesh: Mesh) -> bool:
+    """Whether the faces at edges of exactly two are consistently oriented."""
     table = edge_table(mesh.faces, len(mesh.vertices))
     return not table.are_alike(table.inner_sides()).any()
 
 
-def with_turned(mesh: Mesh, turned: BoolArray) -> Mesh:
+def with_flipped(mesh: Mesh, flipped: BoolArray) -> Mesh:
     """The mesh with some of its faces, (m,), flipped."""
-    if not turned.any():
+    if not flipped.any():
         return mesh
-    return replace(mesh, faces=np.where(turned[:, None], mesh.faces[:, ::-1], mesh.faces))
+    return replace(mesh, faces=np.where(flipped[:, None], mesh.faces[:, ::-1], mesh.faces))
 
 
 def is_inward(mesh: Mesh, table: EdgeTable, patch: IntArray) -> BoolArray:
@@ -218,13 +219,13 @@ def is_inward(mesh: Mesh, table: EdgeTable, patch: IntArray) -> BoolArray:
     return (volume < -1e-6 * area**1.5) & (rim < area**0.5)
 
 
-def turned_outward(mesh: Mesh) -> Mesh:
+def oriented_outward(mesh: Mesh) -> Mesh:
     """The mesh consistently oriented, and closed pieces outward."""
     table = edge_table(mesh.faces, len(mesh.vertices))
-    turned, patch, _ = patches(mesh.faces, table)
-    mesh = with_turned(mesh, turned)
+    flipped, patch, _ = patches(mesh.faces, table)
+    mesh = with_flipped(mesh, flipped)
     # flipping changes the direction of sides, but not which of them lie at one edge
-    return with_turned(mesh, is_inward(mesh, table, patch)[patch])
+    return with_flipped(mesh, is_inward(mesh, table, patch)[patch])
 
 
 def rims(mesh: Mesh, table: EdgeTable) -> tuple[IntArray, FloatArray]:

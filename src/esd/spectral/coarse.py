@@ -122,16 +122,16 @@ def coarse_spectrum(
         If the mesh has no such copy, or that no such spectrum.
     """
     copy = coarse_copy(mesh, vertex_count, cache=cache)
-    pairs = spectrum(copy.mesh, k, kind=kind, cache=cache)
+    coarse = spectrum(copy.mesh, k, kind=kind, cache=cache)
     if copy.mesh is mesh:
-        return pairs
+        return coarse
     assert isinstance(mesh, Mesh)
     mass = lumped_mass(mesh)
     mass /= mass.sum()
-    vectors = np.nan_to_num(copy.carried(pairs.eigenvectors), copy=False)
+    vectors = np.nan_to_num(copy.carried(coarse.eigenvectors), copy=False)
     overlap = sum(
         part.T @ (weight[:, None] * part)
         for part, weight in zip(*(np.array_split(x, 64) for x in (vectors, mass)), strict=True)
     )
     vectors = linalg.solve_triangular(linalg.cholesky(overlap, lower=True), vectors.T, lower=True).T
-    return replace(pairs, eigenvectors=vectors, mass=mass)
+    return replace(coarse, eigenvectors=vectors, mass=mass)

@@ -1,9 +1,9 @@
 """The smallest eigenpairs of L φ = λ M φ, with a bound on their error and proof that none misses.
 
 Nearly all the time of the usual way, `eigsh(L, k, M, sigma=-1e-8)`, goes into the bookkeeping of
-its single-vector iteration, not into factors or solutions. Here one shift lies amid the wanted
-eigenvalues, which halves the Krylov space they need, and the space grows by blocks, whose
-bookkeeping is matrix multiplication. See docs/eigensolver.md for the method and measurements.
+its single-vector iteration, not into factors or solutions. Here one interior shift halves the
+Krylov space that the wanted eigenvalues need, and the space grows by blocks, whose bookkeeping is
+matrix multiplication. See docs/eigensolver.md for the method and measurements.
 """
 
 from __future__ import annotations
@@ -150,7 +150,7 @@ def _block_lanczos(
 ) -> Eigenpairs:
     """Extend a Krylov space until k pairs have converged and none is missing."""
     n = len(stiffness.indptr) - 1
-    inverse = _amid(stiffness, mass, k)
+    inverse = _interior_shift(stiffness, mass, k)
     krylov = BlockLanczos(
         inverse, mass, block=block, generator=np.random.default_rng(seed), run=run
     )
@@ -192,7 +192,7 @@ def _block_lanczos(
     return with_signs(values[:k], rows[:k], bound, certified, "block Lanczos")
 
 
-def _amid(stiffness: SparseMatrix, mass: Mass, k: int) -> Factorisation:
+def _interior_shift(stiffness: SparseMatrix, mass: Mass, k: int) -> Factorisation:
     """L − σM with about 0.6 k eigenvalues below σ.
 
     The search starts from Weyl's law for surfaces, N(λ) ≈ λ · area / 4π, and keeps the best of a

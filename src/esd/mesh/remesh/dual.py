@@ -8,7 +8,7 @@ from scipy.sparse import csgraph
 
 from esd.common import BoolArray, FloatArray, InputError, IntArray
 from esd.mesh.geometry import components, is_referenced, vertex_areas
-from esd.mesh.remesh.flipping import is_turned
+from esd.mesh.remesh.flipping import is_inverted
 from esd.mesh.remesh.refinement import Refinement
 from esd.mesh.topology import edge_table, fan_count
 
@@ -76,8 +76,8 @@ def dual(
         meets = (corners != np.roll(corners, 1, axis=1)).all(axis=1) & (corners >= 0).all(axis=1)
         faces = corners[meets]
         bad = _is_folded(faces, cell[fine.rim], len(sites))
-        turned = is_turned(fine.mesh.vertices[sites], faces, fine.normals[sites])
-        bad[faces[turned]] = True
+        inverted = is_inverted(fine.mesh.vertices[sites], faces, fine.normals[sites])
+        bad[faces[inverted]] = True
         grown = np.union1d(sites, _first_of_each(cell, -distance)[bad])
         missed = referenced & (cell < 0)
         if missed.any():  # a component without a site

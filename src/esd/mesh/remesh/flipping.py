@@ -9,7 +9,9 @@ from esd.common import BoolArray, FloatArray, IntArray
 from esd.mesh.topology import edge_table
 
 
-def is_turned(vertices: npt.NDArray[np.float64], faces: IntArray, normals: FloatArray) -> BoolArray:
+def is_inverted(
+    vertices: npt.NDArray[np.float64], faces: IntArray, normals: FloatArray
+) -> BoolArray:
     """Whether triangles face against the normals of all their corners, or have no area."""
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     normal = np.cross(b - a, c - a)
@@ -27,7 +29,7 @@ def flipped(
     """Faces with edges flipped whose opposite cotangents sum to less than minus `excess`.
 
     Zero gives Delaunay triangles. Edges stay where the surface is sharp, or where a flip would
-    double an edge or turn a triangle over.
+    double an edge or invert a triangle.
     """
     count = len(vertices)
     for _ in range(rounds):
@@ -43,7 +45,7 @@ def flipped(
         wanted = wanted[~np.isin(low * count + high, table.ends @ [count, 1])]
         a, b, c, d = (x[wanted] for x in (a, b, c, d))
         left, right = np.stack([c, a, d], axis=1), np.stack([c, d, b], axis=1)
-        safe = ~(is_turned(vertices, left, normals) | is_turned(vertices, right, normals))
+        safe = ~(is_inverted(vertices, left, normals) | is_inverted(vertices, right, normals))
         flat = _cosine(vertices, np.stack([c, a, b], axis=1), np.stack([d, b, a], axis=1)) > 0.5
         chosen = np.flatnonzero(safe & flat)
         if len(chosen) == 0:

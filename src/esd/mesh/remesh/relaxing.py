@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from esd.common import BoolArray, FloatArray, IntArray
 from esd.mesh.geometry import face_areas, surface_area
 from esd.mesh.mesh import Mesh
-from esd.mesh.remesh.flipping import flipped, is_turned
+from esd.mesh.remesh.flipping import flipped, is_inverted
 from esd.mesh.remesh.refinement import Refinement
 from esd.mesh.surface import SurfacePoints, closest_around, interpolated, positions
 from esd.mesh.topology import edge_table
@@ -79,10 +79,12 @@ def relaxed(
     step = _middles(vertices, faces, interpolated(motion.density, fine.mesh, points)) - vertices
     step -= (step * normals).sum(axis=1, keepdims=True) * normals
     moved = motion.closest(vertices + step, normals).where(moving, points)
-    before = is_turned(vertices, faces, normals)
-    for _ in range(3):  # take back what turns a triangle over
-        turned = is_turned(positions(fine.mesh, moved), faces, normals_at(fine, moved)) & ~before
-        moving[faces[turned]] = False
+    before = is_inverted(vertices, faces, normals)
+    for _ in range(3):  # take back what inverts a triangle
+        inverted = (
+            is_inverted(positions(fine.mesh, moved), faces, normals_at(fine, moved)) & ~before
+        )
+        moving[faces[inverted]] = False
         moved = moved.where(moving, points)
     return moved, faces
 
@@ -93,7 +95,7 @@ def is_poor(vertices: npt.NDArray[np.float64], faces: IntArray, normals: FloatAr
     squared = ((corners - np.roll(corners, 1, axis=1)) ** 2).sum(axis=(1, 2))
     area = face_areas(Mesh(vertices, faces))
     return np.asarray(
-        (4 * np.sqrt(3) * area < POOR * squared) | is_turned(vertices, faces, normals)
+        (4 * np.sqrt(3) * area < POOR * squared) | is_inverted(vertices, faces, normals)
     )
 
 

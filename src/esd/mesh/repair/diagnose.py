@@ -26,7 +26,7 @@ from esd.mesh.topology import (
     piece_of_faces,
     quality,
     rims,
-    with_turned,
+    with_flipped,
     without_repeats,
 )
 
@@ -99,17 +99,17 @@ def _examine(mesh: Mesh) -> list[Finding]:
     fans = fan_count(mesh.faces, table, len(mesh.vertices))
     touching = found("non_manifold_vertices", fans > 1)
     findings += touching
-    turned, label, one_sided = patches(mesh.faces, table)
+    flipped, label, non_orientable = patches(mesh.faces, table)
     inner = table.inner_sides()
     alike = table.are_alike(inner)
     if alike.any():
         vertex = int(table.start[inner[alike][0, 0]])
         share = float(alike.sum() / len(table.ends))
         findings.append(Finding("inconsistent_winding", int(alike.sum()), share, vertex))
-    if one_sided.any():
-        share = face_areas(mesh)[one_sided[label]].sum() / max(surface_area(mesh), 1e-300)
-        findings.append(Finding("one_sided_pieces", int(one_sided.sum()), float(share)))
-    mesh = with_turned(mesh, turned)
+    if non_orientable.any():
+        share = face_areas(mesh)[non_orientable[label]].sum() / max(surface_area(mesh), 1e-300)
+        findings.append(Finding("one_sided_pieces", int(non_orientable.sum()), float(share)))
+    mesh = with_flipped(mesh, flipped)
     findings += _folded(mesh, table)
     inward = is_inward(mesh, table, label)
     if inward.any():

@@ -27,8 +27,8 @@ from esd.mesh.repair.smoothing import smoothed
 from esd.mesh.topology import (
     compacted,
     largest_piece,
+    oriented_outward,
     piece_of_faces,
-    turned_outward,
     without_repeats,
 )
 
@@ -141,7 +141,7 @@ def repair(
         What `as_mesh` takes, or points without faces; what was repaired before stays as it is.
     everything
         Whether also what may change a sound part of the shape is done: cutting sheets apart along
-        edges of more than two faces even where the shape then falls apart, leaving out faces of
+        non-manifold edges even where the shape then falls apart, leaving out faces of
         which a vertex is missing, and what `restore` does.
     all_pieces
         Whether all connected pieces are kept, and not only the one with the largest area.
@@ -196,7 +196,7 @@ def repair(
             done.discard("non_manifold_edges")
     if everything or done & {"non_manifold_vertices", "non_manifold_edges"}:
         mesh, original = cut_apart(mesh, at_edges=at_edges)
-    outward = turned_outward(mesh)
+    outward = oriented_outward(mesh)
     piece = np.zeros(len(mesh.faces), dtype=np.int64) if all_pieces else piece_of_faces(mesh)
     area = face_areas(mesh)
     flipped = (outward.faces != mesh.faces).any(axis=1) & (piece == 0)
@@ -239,7 +239,7 @@ def _is_large_hole(finding: Finding) -> bool:
 
 
 def _holds_together(mesh: Mesh) -> bool:
-    """Whether cutting at edges of more than two faces leaves nearly all of the largest piece."""
+    """Whether cutting at non-manifold edges leaves nearly all of the largest piece."""
     before, after = (
         surface_area(largest_piece(cut_apart(mesh, at_edges=cut)[0])) for cut in (False, True)
     )
