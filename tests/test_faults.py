@@ -17,6 +17,9 @@ import pytest
 from esd.common import InputError, whole_file
 from esd.learning.model import load_model
 from esd.matching.correspondence import load_map
+from esd.mesh.io.meshes import write_mesh
+from esd.mesh.mesh import Mesh
+from esd.mesh.shapes import torus
 from esd.spectral.cache import Cache, default_cache
 from esd.spectral.spectrum import spectrum
 
@@ -97,6 +100,59 @@ def test_an_ended_command_leaves_one_line_at_most_and_no_file(tmp_path, number):
     assert broken.returncode == 128 + number
     assert said in ("", "esd: interrupted\n")
     assert [path.name for path in tmp_path.iterdir()] == ["here"]
+
+
+LONG = {
+    "train": ("train", "set", "--preset", "paper-hks", "-o", "m"),
+    "evaluate": ("evaluate", "set", "-m", "default"),
+    "batch": ("batch", "pairs.csv", "-o", "maps"),
+    "precompute": ("precompute", "set", "-o", "s.h5"),
+    "reproduce": ("reproduce", "table1", "--data", "set", "-o", "report"),
+}
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has other signals")
+@pytest.mark.parametrize(
+    ("command", "number"),
+    [
+        *((name, signal.SIGINT) for name in LONG),
+        ("evaluate", signal.SIGTERM),
+        ("reproduce", signal.SIGTERM),
+    ],
+)
+def test_long_commands_end_soon_without_a_word_of_their_processes(tmp_path, command, number):
+    (tmp_path / "set").mkdir()
+    (tmp_path / "tmp").mkdir()
+    mesh = torus(60, 40)
+    for i in range(8):
+        bent = Mesh(mesh.vertices * (1, 1, 1 + 0.05 * i), mesh.faces)
+        write_mesh(bent, tmp_path / "set" / f"{i}.off")
+    lines = [f"set/{i}.off,set/{j}.off\n" for i in range(8) for j in range(i)]
+    (tmp_path / "pairs.csv").write_text("source,target\n" + "".join(lines))
+    before = {path.name for path in tmp_path.iterdir()}
+    process = subprocess.Popen(
+        [*ESD, *LONG[command]],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        env={**os.environ, "TMPDIR": str(tmp_path / "tmp"), "ESD_CACHE": "off"},
+    )
+    time.sleep(4)  # by then its processes work; what is tested must hold at any time
+    assert process.poll() is None
+    # a terminal sends Ctrl-C to all processes of a command, `kill` sends to one
+    os.killpg(process.pid, number) if number == signal.SIGINT else process.send_signal(number)
+    start = time.monotonic()
+    _, said = process.communicate(timeout=60)
+    assert process.returncode == 128 + number
+    assert time.monotonic() - start < 15  # one second is usual; the machine may be busy
+    assert "Traceback" not in said
+    assert all(line.startswith("esd: ") for line in said.splitlines() if line), said
+    # torch leaves an empty folder of its own
+    assert not [path for path in (tmp_path / "tmp").rglob("*") if path.is_file()]
+    kept = {"maps", "s.h5.parts", "report", "m.checkpoint"}  # from which a rerun resumes
+    assert {path.name for path in tmp_path.iterdir()} - before <= kept
 
 
 def test_killed_while_writing_the_old_file_stays(tmp_path):
