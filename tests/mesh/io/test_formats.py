@@ -34,6 +34,14 @@ def test_meshio_reads(tmp_path, suffix, capsys):
     assert capsys.readouterr() == ("", "")  # meshio prints what is wrong
 
 
+@pytest.mark.parametrize("content", [" (2", "(2", "(10 (0 1"])
+def test_gmsh_files_that_are_cut_end(tmp_path, content):
+    pytest.importorskip("meshio", reason="meshio is not installed")
+    (tmp_path / "m.msh").write_text(content)  # meshio's reader of ANSYS never came to an end
+    with pytest.raises(InputError, match=r"m.msh'"):
+        read_arrays(tmp_path / "m.msh")
+
+
 def test_nibabel_reads(tmp_path):
     nibabel = pytest.importorskip("nibabel", reason="nibabel is not installed")
     arrays = [

@@ -15,16 +15,18 @@ import numpy.typing as npt
 from esd.common import InputError, install_hint
 from esd.mesh.objects import object_arrays
 
+# by suffix: without it meshio tries others, too, of which that of ANSYS reads some files for ever
+_MESHIO = {".vtk": "vtk", ".vtu": "vtu", ".msh": "gmsh"}
 _LARGEST = 2**30  # bytes that a compressed file may unpack to
 
 
 def read_by_meshio(path: Path) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-    """Triangles and quadrilaterals of a VTK, VTU or MSH file."""
+    """Triangles and quadrilaterals of a VTK, VTU or Gmsh file."""
     meshio = _module("meshio")
     try:
         # it prints what is wrong, and exits
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
-            content = meshio.read(path)
+            content = meshio.read(path, file_format=_MESHIO[path.suffix.lower()])
     except SystemExit as error:
         raise InputError("meshio cannot read it; convert it to another format.") from error
     return object_arrays(content)

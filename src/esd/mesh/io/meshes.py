@@ -21,6 +21,7 @@ from esd.mesh.io.obj import obj_text, read_obj
 from esd.mesh.io.off import off_text, read_off
 from esd.mesh.io.ply import ply_bytes, read_ply
 from esd.mesh.io.points import read_pcd, read_xyz
+from esd.mesh.io.polydata import is_legacy_polydata, read_legacy, read_vtp
 from esd.mesh.io.stl import read_stl, stl_bytes
 from esd.mesh.mesh import Mesh
 
@@ -41,6 +42,10 @@ def _obj(path: Path) -> _Arrays:
 def _gltf(path: Path) -> _Arrays:
     scene = read_gltf(path)
     return scene.vertices, scene.faces, len(scene.faces)
+
+
+def _vtk(path: Path) -> _Arrays:
+    return read_legacy(path) if is_legacy_polydata(path) else _triangles(read_by_meshio)(path)
 
 
 def _triangles(
@@ -80,7 +85,8 @@ _MESH_FORMATS: dict[str, Format] = {
     ".stl": Format(_triangles(read_stl), stl_bytes),
     ".glb": Format(_gltf, _glb_bytes),
     ".gltf": Format(_gltf),  # it would be scattered over several files
-    ".vtk": Format(_triangles(read_by_meshio)),
+    ".vtk": Format(_vtk),
+    ".vtp": Format(read_vtp),
     ".vtu": Format(_triangles(read_by_meshio)),
     ".msh": Format(_triangles(read_by_meshio)),
     ".3mf": Format(_triangles(read_3mf)),

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from esd.common import InputError, IntArray
-from esd.mesh.io.polygons import triangulated
+from esd.mesh.io.polygons import strip_triangles, triangulated
 from esd.mesh.mesh import Mesh, PointCloud
 
 _TYPES = {
@@ -72,7 +72,7 @@ def read_ply(path: Path) -> tuple[Array, IntArray, int]:
         polygon_count += len(counts)
     if strips:
         for strip in np.split(*_ends(_list_of(strips, "tristrips"))):
-            parts += [_strip(part) for part in np.split(strip, np.flatnonzero(strip < 0))]
+            parts += [strip_triangles(part) for part in np.split(strip, np.flatnonzero(strip < 0))]
         polygon_count += sum(map(len, parts)) - len(parts[1] if face else ())
     faces = np.concatenate(parts)
     edges = content.get("edge", {})
@@ -281,13 +281,3 @@ def _list_of(element: dict[str, Array | Lists], name: str) -> tuple[IntArray, In
 
 def _ends(lists: tuple[IntArray, IntArray]) -> tuple[IntArray, IntArray]:
     return lists[0], np.cumsum(lists[1])[:-1]
-
-
-def _strip(strip: IntArray) -> IntArray:
-    """Triangles of a strip, which may begin with the -1 that ended the one before."""
-    corners = strip[strip >= 0]
-    faces = np.stack([corners[:-2], corners[1:-1], corners[2:]], axis=1)
-    faces[1::2] = faces[1::2, [1, 0, 2]]  # every other triangle is turned round
-    # a strip goes round a corner by a triangle that has a corner twice
-    repeated = (faces == np.roll(faces, 1, axis=1)).any(axis=1)
-    return faces[~repeated]

@@ -66,6 +66,16 @@ def triangulated(
     return Triangles(result, polygon)
 
 
+def strip_triangles(strip: IntArray) -> IntArray:
+    """Triangles (m, 3) of a strip (c,), whose corners of -1, which end strips, are left out."""
+    corners = strip[strip >= 0]
+    faces = np.stack([corners[:-2], corners[1:-1], corners[2:]], axis=1)
+    faces[1::2] = faces[1::2, [1, 0, 2]]  # every other triangle is turned round
+    # a strip goes round a corner by a triangle that has a corner twice
+    repeated = (faces == np.roll(faces, 1, axis=1)).any(axis=1)
+    return faces[~repeated]
+
+
 def _normals(places: FloatArray) -> FloatArray:
     """Twice the vector area of each polygon (Newell), (p, 3), from its corners (p, s, 3)."""
     with np.errstate(all="ignore"):
