@@ -84,6 +84,19 @@ def test_colours_that_are_not_there_are_missed(tmp_path):
     write_mesh(torus(7, 5), tmp_path / "m.ply")
     with pytest.raises(InputError, match="no colours of its vertices"):
         read_vertex_colours(tmp_path / "m.ply")
+
+
+@pytest.mark.parametrize("scale", [1, 255])
+def test_colours_after_the_coordinates_of_obj_are_read(tmp_path, scale):
+    rows = [(0, 0, 0, 1, 0, 0), (1, 0, 0, 0, 0.2, 0), (0, 1, 0, 0, 0, 0.4)]
+    lines = [f"v {x} {y} {z} {scale * r} {scale * g} {scale * b}" for x, y, z, r, g, b in rows]
+    (tmp_path / "m.obj").write_text("\n".join([*lines, "f 1 2 3", ""]))
+    expected = [[255, 0, 0, 255], [0, 51, 0, 255], [0, 0, 102, 255]]
+    np.testing.assert_array_equal(read_vertex_colours(tmp_path / "m.obj"), expected)
+    for spoilt in ("v 1 0 0", "v 1 0 0 a b c"):
+        (tmp_path / "m.obj").write_text("\n".join([lines[0], spoilt, lines[2], "f 1 2 3", ""]))
+        with pytest.raises(InputError, match="no colours of its vertices"):
+            read_vertex_colours(tmp_path / "m.obj")
     with pytest.raises(InputError, match=r"written to .ply or .glb"):
         write_coloured(torus(7, 5), np.zeros((35, 4), dtype=np.uint8), tmp_path / "m.off")
 

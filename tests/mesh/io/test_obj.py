@@ -36,6 +36,21 @@ def test_all_that_obj_may_hold_is_read_alike(tmp_path, text):
     np.testing.assert_array_equal(faces, [[0, 1, 2]])
 
 
+def test_corners_that_are_written_alike_and_otherwise_are_read_alike(tmp_path):
+    places = "vt 0 0\nvt 1 0\nvt 0 1\n"
+    found = []
+    for face in ("f 1/2/1 2/3/1 3/1/1\n", "f 1/2 2/3/1 3/1\n", "f 1/2 2/3 3/1\n"):
+        (tmp_path / "m.obj").write_text(TRIANGLE + places + face)
+        content = read_obj(tmp_path / "m.obj")
+        found.append((content.faces.tolist(), content.texture_faces.tolist()))
+    assert found == [([[0, 1, 2]], [[1, 2, 0]])] * 3
+    (tmp_path / "m.obj").write_text(TRIANGLE + places + "f 1/ 2/ 3/\n")
+    assert read_obj(tmp_path / "m.obj").texture_faces.tolist() == [[-1, -1, -1]]
+    (tmp_path / "m.obj").write_text(TRIANGLE + places + "f /1 /2 /3\n")
+    with pytest.raises(InputError, match="cannot be read as OBJ"):
+        read_arrays(tmp_path / "m.obj")
+
+
 def test_materials_are_those_of_the_faces(tmp_path):
     path = tmp_path / "m.obj"
     path.write_text(

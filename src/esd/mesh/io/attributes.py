@@ -15,6 +15,7 @@ import numpy.typing as npt
 from esd.common import InputError, IntArray, whole_file
 from esd.mesh.io.gltf import read_gltf
 from esd.mesh.io.meshes import read_mesh
+from esd.mesh.io.obj import read_obj
 from esd.mesh.io.ply import ply_bytes, ply_elements
 from esd.mesh.mesh import Mesh, PointCloud
 
@@ -83,6 +84,10 @@ def read_vertex_colours(path: str | os.PathLike[str]) -> npt.NDArray[np.uint8]:
             colours = np.stack(kept, axis=1) * (255 if opaque == 1.0 else 1)
     elif suffix in (".glb", ".gltf"):
         colours = 255 * read_gltf(path).colours
+    elif suffix == ".obj":
+        colours = read_obj(path).colours
+        scale = 255 if len(colours) and np.nanmax(colours) <= 1 else 1  # most write 0 to 1
+        colours = np.column_stack([scale * colours, np.full(len(colours), 255)])
     if colours.shape != (count, 4) or not np.isfinite(colours).all():
         raise InputError(f"'{path}' has no colours of its vertices.")
     return np.clip(np.round(colours), 0, 255).astype(np.uint8)

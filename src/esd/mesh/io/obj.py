@@ -13,6 +13,8 @@ from esd.common import FloatArray, InputError, IntArray
 from esd.mesh.io.polygons import triangulated
 from esd.mesh.mesh import Mesh
 
+_NONE = -(2**63)  # the index of what a corner does not have
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObjFile:
@@ -21,6 +23,8 @@ class ObjFile:
     Parameters
     ----------
     vertices : (n, 3)
+    colours : (n, 3)
+        Numbers after the coordinates: red, green and blue; (0, 3) if there are not so many.
     faces : (m, 3)
         Triangles of its polygons, in their order.
     polygon_count
@@ -37,6 +41,7 @@ class ObjFile:
     """
 
     vertices: npt.NDArray[Any]
+    colours: FloatArray
     faces: IntArray
     polygon_count: int
     coordinates: FloatArray
@@ -71,11 +76,9 @@ def read_obj(path: Path) -> ObjFile:
     is_face = kinds == "f"
     polygons = [words[1:] for words in lines if words[0] == "f"]
     counts = np.array([len(words) for words in polygons], dtype=np.int64)
-    corners = [corner.split("/") for words in polygons for corner in words]
-    vertex = _indices([c[0] for c in corners], np.cumsum(kinds == "v")[is_face], counts)
-    place = _indices(
-        [c[1] if len(c) > 1 else "" for c in corners], np.cumsum(kinds == "vt")[is_face], counts
-    )
+    index, index_of_place = _corners([corner for words in polygons for corner in words])
+    vertex = _from_zero(index, np.cumsum(kinds == "v")[is_face], counts)
+    place = _from_zero(index_of_place, np.cumsum(kinds == "vt")[is_face], counts)
     names = [" ".join(words[1:]) for words in lines if words[0] == "usemtl"]
     materials = tuple(dict.fromkeys(names))
     numbers = {name: number for number, name in enumerate(materials)}
@@ -84,6 +87,7 @@ def read_obj(path: Path) -> ObjFile:
     triangles = triangulated(vertices, vertex, counts)
     return ObjFile(
         vertices=vertices,
+        colours=_colours(lines, len(positions)),
         faces=vertex[triangles.corners],
         polygon_count=len(polygons),
         coordinates=np.array(texture, dtype=float).reshape(-1, 2),
@@ -101,13 +105,41 @@ def obj_text(mesh: Mesh) -> str:
     return "\n".join([*lines, ""])
 
 
-def _indices(words: list[str], seen: IntArray, counts: IntArray) -> IntArray:
-    """Indices from 0 of corners; -1 where there is no word.
+def _colours(lines: list[list[str]], count: int) -> FloatArray:
+    """Colours (n, 3) of the vertices, as MeshLab and ZBrush write them; (0, 3) for none."""
+    rows = [words[4:7] for words in lines if words[0] == "v" and len(words) >= 7]
+    try:
+        return np.array(rows if len(rows) == count else [], dtype=float).reshape(-1, 3)
+    except ValueError:
+        return np.zeros((0, 3))
+
+
+def _corners(words: list[str]) -> tuple[IntArray, IntArray]:
+    """Index of the vertex and of the place on the image of each corner, or `_NONE`.
+
+    They are as the file counts them: from 1, or back from the end.
+    """
+    slashes = {word.count("/") for word in words}
+    text = " ".join(words)
+    if len(slashes) == 1 and "//" not in text and "/ " not in f"{text} ":
+        # all corners are alike, such as v/t or v/t/n, which takes half of the time
+        columns = np.array(list(map(int, text.replace("/", " ").split())), dtype=np.int64)
+        columns = columns.reshape(len(words), slashes.pop() + 1)
+        missing = np.full(len(words), _NONE)
+        return columns[:, 0], columns[:, 1] if columns.shape[1] > 1 else missing
+    parts = [word.split("/") for word in words]
+    first = [int(part[0]) for part in parts]
+    second = [int(part[1]) if len(part) > 1 and part[1] else _NONE for part in parts]
+    return np.array(first, dtype=np.int64), np.array(second, dtype=np.int64)
+
+
+def _from_zero(index: IntArray, seen: IntArray, counts: IntArray) -> IntArray:
+    """Indices from 0 of corners; -1 where there is none.
 
     `seen` says how many elements were read before each face, from which negative ones count back.
     """
-    missing = np.array([not word for word in words], dtype=bool)
-    index = np.array([int(word or 1) for word in words], dtype=np.int64)
+    missing = index == _NONE
+    index = np.where(missing, 1, index)
     if (index == 0).any():
         raise InputError("faces count their vertices from 1; one has 0.")
     back = index < 0

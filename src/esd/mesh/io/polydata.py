@@ -225,7 +225,8 @@ class _Legacy:
             width = len(flat) // first  # all cells have as many corners
             if flat[0] == width - 1:
                 return _Cells(flat.reshape(first, width)[:, 1:].ravel(), np.full(first, flat[0]))
-        counts, is_count, at = [], np.zeros(len(flat), dtype=bool), 0
+        counts: list[int] = []
+        is_count, at = np.zeros(len(flat), dtype=bool), 0
         while at < len(flat) and len(counts) < first:
             counts.append(int(flat[at]))
             is_count[at] = True
