@@ -7,16 +7,9 @@ from pathlib import Path
 import h5py
 import numpy as np
 
+from command import run
 from esd.mesh.io.meshes import write_mesh
 from esd.mesh.shapes import icosphere, torus
-
-
-def run(*arguments: object, expect: int = 0) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "esd", *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == expect, done.stderr
-    assert "Traceback" not in done.stderr
-    return done
 
 
 def files(folder: Path) -> set[str]:

@@ -1,20 +1,11 @@
 import json
-import subprocess
-import sys
 
 import numpy as np
 
+from command import run
 from esd.matching.correspondence import load_map
 from esd.mesh.io.meshes import read_mesh, write_mesh
 from esd.mesh.mesh import Mesh
-
-
-def run(*arguments: object, expect: int = 0) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "esd", *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == expect, done.stderr
-    assert "Traceback" not in done.stderr
-    return done
 
 
 def test_the_doctor_tells_and_repairs(blob, tmp_path):

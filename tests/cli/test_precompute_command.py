@@ -1,6 +1,6 @@
 import json
 
-from test_cli import run
+from command import run
 
 
 def test_a_store_is_made_trained_on_and_brought_up_to_date(shapes, tmp_path):

@@ -6,6 +6,7 @@ import trimesh
 
 from esd.common import InputError
 from esd.mesh.convert import as_arrays, as_mesh
+from esd.mesh.mesh import Mesh
 from esd.mesh.shapes import torus
 
 MESH = torus(7, 5)
@@ -32,3 +33,21 @@ def test_unstructured_grids_hold_triangles_and_quadrilaterals():
     np.testing.assert_array_equal(as_mesh(grid).faces, [[0, 1, 2], [0, 1, 2], [0, 2, 3]])
     with pytest.raises(InputError, match="only cells of type 10"):
         as_mesh(SimpleNamespace(points=MESH.vertices, cells_dict={10: cells[9]}))
+
+
+TRIANGLE = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
+
+
+def test_as_mesh_takes_what_holds_a_mesh():
+    faces = np.array([[0, 1, 2]])
+    trimesh = SimpleNamespace(vertices=TRIANGLE, faces=faces)
+    meshio = SimpleNamespace(points=TRIANGLE, cells_dict={"triangle": faces})
+    pyvista = SimpleNamespace(points=TRIANGLE, faces=np.array([3, 0, 1, 2]))
+    for source in (Mesh(TRIANGLE, faces), (TRIANGLE, faces), trimesh, meshio, pyvista):
+        np.testing.assert_array_equal(as_mesh(source).faces, faces)
+    with pytest.raises(InputError, match="no triangles"):
+        as_mesh(SimpleNamespace(points=TRIANGLE, cells_dict={"line": faces}))
+    with pytest.raises(InputError, match="triangulate"):
+        as_mesh(SimpleNamespace(points=TRIANGLE, faces=np.array([4, 0, 1, 2, 0])))
+    with pytest.raises(InputError, match="Expected a mesh"):
+        as_mesh(3)
