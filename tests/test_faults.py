@@ -218,7 +218,7 @@ def test_a_precomputing_that_is_killed_goes_on_and_clears_up(shapes, tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["s.h5", "set"]
 
 
-def test_a_full_disk_is_told_in_a_line_and_the_old_file_stays(shapes, tmp_path):
+def test_a_full_disk_is_reported_in_a_line_and_the_old_file_stays(shapes, tmp_path):
     output = tmp_path / "map.csv"
     output.write_text("old")
     done = match(shapes, output, "--force", limit=1000, ESD_CACHE="off")
@@ -258,7 +258,7 @@ def test_precomputing_on_a_full_disk_tells_what_failed(shapes, tmp_path):
 
 
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="needs a folder no one can write to")
-def test_a_folder_that_cannot_be_written_to_is_told(shapes, tmp_path):
+def test_a_folder_that_cannot_be_written_to_is_reported(shapes, tmp_path):
     done = match(shapes, Path("/proc/map.csv"))
     assert done.returncode == 1
     assert is_one_line(done.stderr), done.stderr

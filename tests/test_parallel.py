@@ -42,7 +42,7 @@ def sleep(path: str) -> None:
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_jobs_that_fail_keep_none_of_the_others_back(workers):
+def test_jobs_that_fail_do_not_abort_the_others(workers):
     found = {
         outcome.job: outcome for outcome in outcomes(square, range(20), workers=Workers(workers))
     }

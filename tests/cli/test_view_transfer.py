@@ -203,7 +203,7 @@ def test_broken_meshes_are_shown_with_the_vertices_of_their_files(run, tmp_path,
     assert not (tmp_path / "points-a.csv").exists()
 
 
-def test_how_much_is_told(run, pair):
+def test_how_much_is_reported(run, pair):
     export = ("export", "a.off", "b.off", "map.csv", "--force", "-o", "n.npy")
     assert run(*export, where=pair).stdout == "written to n.npy\n"
     quiet = run(*export, "--quiet", where=pair)

@@ -111,7 +111,7 @@ def test_an_interrupted_run_goes_on(collection, tmp_path):
     assert path.read_bytes() == (tmp_path / "straight.h5").read_bytes()
 
 
-def test_shapes_that_fail_are_told_and_the_others_kept(collection, tmp_path):
+def test_shapes_that_fail_are_reported_and_the_others_are_stored(collection, tmp_path):
     path = tmp_path / "s.h5"
     small = replace(
         collection.shapes[0], mesh=partial(torus, 4, 3), correspondence=partial(np.arange, 3)

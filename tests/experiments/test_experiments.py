@@ -225,7 +225,7 @@ def test_table2_needs_subjects_that_correspond(made):
         comparison.drawn_groups(replace(made, testing=replace(made.testing, shapes=foreign)))
 
 
-def test_processor_time_of_a_training_that_went_on_is_that_of_all_its_steps():
+def test_processor_time_of_a_resumed_training_is_that_of_all_its_steps():
     assert setting._cpu_seconds([(0, 5.0), (100, 7.0), (200, 9.0)]) == 4
     assert setting._cpu_seconds([(0, 5.0), (300, 5.5), (400, 7.5)]) == 8  # from step 200 on
     assert setting._cpu_seconds([(0, 5.0), (100, 7.0)]) == 2
@@ -275,7 +275,7 @@ def test_dimension_of_noise_is_that_of_its_neighbourhood(made, tmp_path):
     assert drawn(dimension.figures(outcome), tmp_path) == {"dimension"}
 
 
-def test_concatenation_stands_beside_its_parts(made, tmp_path):
+def test_concatenation_is_compared_with_its_parts(made, tmp_path):
     outcome = concatenation.run(made)
     assert [m.name for m in outcome.matched][3:] == ["GPS+HKS+WKS", "GPS+HKS+WKS, wide"]
     best = max(outcome.matched[:3], key=lambda m: m.counts.mean()).name

@@ -327,7 +327,7 @@ def test_bad_options_are_refused(options):
         eigenpairs(LAPLACIAN, MASS, 2, **options)
 
 
-def test_a_ceiling_at_which_nothing_can_be_told_is_moved_within_its_gap(monkeypatch, caplog):
+def test_a_ceiling_at_which_nothing_is_certain_is_moved_within_its_gap(monkeypatch, caplog):
     mesh = icosphere(4)
     shifts = []
 

@@ -63,7 +63,7 @@ def test_all_that_off_may_hold_is_read_alike(tmp_path, head, faces):
 
 
 @pytest.mark.parametrize(("name", "text"), [("m.obj", OBJ), ("m.off", OFF)])
-def test_polygons_are_cut_and_told_and_seams_do_not_split(tmp_path, caplog, name, text):
+def test_polygons_are_cut_and_reported_and_seams_do_not_split(tmp_path, caplog, name, text):
     (tmp_path / name).write_text(text)
     mesh = read_mesh(tmp_path / name)
     assert mesh.vertices.shape == (5, 3)
