@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from esd.common import FloatArray, InputError, IntArray
+from esd.common import BoolArray, FloatArray, InputError, IntArray
 from esd.mesh.convert import MeshLike
 from esd.mesh.geometry import face_areas, is_referenced, surface_area
 from esd.mesh.mesh import Mesh, PointCloud
@@ -159,13 +159,9 @@ def repair(
     vertices, faces = loose_arrays(source)
     if len(faces) == 0:
         return _repaired_points(vertices)
-    finite = is_finite(vertices)
     named = f"'{source}': " if isinstance(source, str | os.PathLike) else ""
     if not everything:
-        try:
-            Mesh(np.where(finite[:, None], vertices, 0.0), faces)
-        except InputError as error:  # a damaged list of faces
-            raise InputError(f"{named}{error}") from error
+        _check_faces(vertices, faces, named)
     diagnosis, mesh = diagnosed(vertices, faces, thorough=False)
     if mesh is None or not surface_area(mesh) > 0:
         raise InputError(f"{named}Nothing of the mesh can be used: {diagnosis.in_a_line()}.")
@@ -180,30 +176,15 @@ def repair(
         index = np.where(is_referenced(mesh), original, -1)
         none = np.full(len(index), -1)
         return Repaired(mesh, mesh.vertices, index, original, none, diagnosis, frozenset(done))
-    index = np.where(finite, original, -1)
-    if "duplicate_vertices" in done:
-        # of the original places: moving and scaling may have rounded different ones to one
-        first = seam_partners(replace(mesh, vertices=np.where(finite[:, None], vertices, 0.0)))
-        mesh, index = replace(mesh, faces=first[mesh.faces]), np.where(finite, first, -1)
-    if "zero_length_edges" in done:
-        first = collapse_partners(replace(mesh, vertices=np.where(finite[:, None], vertices, 0.0)))
-        mesh, index = replace(mesh, faces=first[mesh.faces]), np.where(finite, first[index], -1)
-    mesh = without_repeats(mesh)
-    at_edges = everything
-    if not everything and "non_manifold_edges" in done:
-        at_edges = _holds_together(mesh)
-        if not at_edges:
-            done.discard("non_manifold_edges")
+    mesh, index = _joined(mesh, vertices, done)
+    if not everything and "non_manifold_edges" in done and not _holds_together(mesh):
+        done.discard("non_manifold_edges")
     if everything or done & {"non_manifold_vertices", "non_manifold_edges"}:
-        mesh, original = cut_apart(mesh, at_edges=at_edges)
-    outward = oriented_outward(mesh)
-    piece = np.zeros(len(mesh.faces), dtype=np.int64) if all_pieces else piece_of_faces(mesh)
-    area = face_areas(mesh)
-    flipped = (outward.faces != mesh.faces).any(axis=1) & (piece == 0)
-    kept_area = float(area[piece == 0].sum())
-    flipped_share = float(area[flipped].sum()) / max(kept_area, np.finfo(float).tiny)
-    mesh, whole = replace(outward, faces=outward.faces[piece == 0]), mesh
-    used, kept = is_referenced(whole), is_referenced(mesh)
+        mesh, original = cut_apart(mesh, at_edges=everything or "non_manifold_edges" in done)
+    whole, outward = mesh, oriented_outward(mesh)
+    is_kept = np.ones(len(mesh.faces), dtype=bool) if all_pieces else piece_of_faces(mesh) == 0
+    mesh = replace(outward, faces=outward.faces[is_kept])
+    index, stand_in, lost = _pieces_left_out(whole, mesh, index)
     on_rim = np.zeros(0, dtype=np.int64)
     if "holes" in done:
         mesh, on_rim = holes_filled(mesh, shorter_than=SMALL_HOLE)
@@ -211,14 +192,6 @@ def repair(
     positions = mesh.vertices
     if "folded_edges" in done:
         mesh = smoothed(mesh)
-    # original vertices by what became of them: kept, dropped with a loose piece, or without a face
-    has_face = (index >= 0) & used[index]
-    is_dropped = has_face & ~kept[index]
-    stand_in = np.full(len(index), -1)
-    stand_in[is_dropped] = stand_ins(
-        whole.vertices, kept=np.flatnonzero(kept), dropped=index[is_dropped]
-    )
-    index = np.where(has_face & ~is_dropped, index, -1)
     return Repaired(
         mesh,
         positions,
@@ -228,9 +201,59 @@ def repair(
         diagnosis,
         frozenset(done),
         filling=len(on_rim),
-        is_flipped=flipped_share > _FLIPPED,
-        lost=float((is_dropped & (stand_in < 0)).sum() / max(1, has_face.sum())),
+        is_flipped=_flipped_share(whole, outward, is_kept) > _FLIPPED,
+        lost=lost,
     )
+
+
+def _check_faces(vertices: npt.NDArray[np.float64], faces: IntArray, named: str) -> None:
+    """Refuse a damaged list of faces."""
+    try:
+        Mesh(np.where(is_finite(vertices)[:, None], vertices, 0.0), faces)
+    except InputError as error:
+        raise InputError(f"{named}{error}") from error
+
+
+def _joined(mesh: Mesh, vertices: npt.NDArray[np.float64], done: set[str]) -> tuple[Mesh, IntArray]:
+    """The mesh with seams and edges without length joined, and what each vertex became, (n,)."""
+    finite = is_finite(vertices)
+    index = np.where(finite, np.arange(len(vertices)), -1)
+    # by the original places: moving and scaling may have rounded different ones to one
+    places = np.where(finite[:, None], vertices, 0.0)
+    for kind, partners in (
+        ("duplicate_vertices", seam_partners),
+        ("zero_length_edges", collapse_partners),
+    ):
+        if kind in done:
+            first = partners(replace(mesh, vertices=places))
+            # a vertex that was joined before is joined on with its representative
+            mesh = replace(mesh, faces=first[mesh.faces])
+            index = np.where(finite, first[index], -1)
+    return without_repeats(mesh), index
+
+
+def _flipped_share(before: Mesh, after: Mesh, is_kept: BoolArray) -> float:
+    """Share of the area of the faces that are kept, (m,), whose corners have another order."""
+    area = np.where(is_kept, face_areas(before), 0.0)
+    flipped = (after.faces != before.faces).any(axis=1)
+    return float(area[flipped].sum() / max(area.sum(), np.finfo(float).tiny))
+
+
+def _pieces_left_out(whole: Mesh, mesh: Mesh, index: IntArray) -> tuple[IntArray, IntArray, float]:
+    """What became of vertices, (n,), when pieces of the whole were left out of a mesh.
+
+    Returns `index` with -1 for those of these pieces and those without a face, the stand-ins of
+    the former, and the share of the vertices with a face that have neither.
+    """
+    kept = is_referenced(mesh)
+    has_face = (index >= 0) & is_referenced(whole)[index]
+    is_dropped = has_face & ~kept[index]
+    stand_in = np.full(len(index), -1)
+    stand_in[is_dropped] = stand_ins(
+        whole.vertices, kept=np.flatnonzero(kept), dropped=index[is_dropped]
+    )
+    lost = float((is_dropped & (stand_in < 0)).sum() / max(1, has_face.sum()))
+    return np.where(has_face & ~is_dropped, index, -1), stand_in, lost
 
 
 def _is_large_hole(finding: Finding) -> bool:
