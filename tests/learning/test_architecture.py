@@ -6,8 +6,9 @@ import pytest
 from esd.common import InputError
 from esd.descriptors.recipe import Descriptor, Recipe
 from esd.learning.losses import pair_criteria
-from esd.learning.pairs import PointTable, draw_pairs
+from esd.learning.pairs import draw_pairs
 from esd.learning.presets import Training
+from esd.learning.table import PointTable
 
 torch = pytest.importorskip("torch", reason="training needs the extra `train`")
 from esd.learning import train as alone  # noqa: E402

@@ -11,8 +11,8 @@ from esd.evaluation.protocol import evaluate
 from esd.learning.acnn import AnisotropicPatches
 from esd.learning.gcnn import GeodesicPatches
 from esd.learning.model import load_model, model_description, save_model
-from esd.learning.pairs import point_table
 from esd.learning.presets import PRESETS, Training
+from esd.learning.table import point_table
 from esd.matching.match import match
 from esd.mesh.mesh import Mesh, PointCloud
 

@@ -20,8 +20,9 @@ from esd.learning.model import (
     raw_model,
     save_model,
 )
-from esd.learning.pairs import draw_matches, draw_pairs, point_table, standardisation, stored_table
+from esd.learning.pairs import draw_matches, draw_pairs
 from esd.learning.presets import PRESETS, Training, preset
+from esd.learning.table import point_table, standardisation, stored_table
 from esd.parallel import Workers
 
 torch = pytest.importorskip("torch", reason="training needs the extra `train`")

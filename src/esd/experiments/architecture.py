@@ -13,8 +13,8 @@ from matplotlib.tri import Triangulation
 from esd.experiments.report import Report, Table
 from esd.experiments.setting import KINDS, Setting, descriptor_table, shortened
 from esd.learning.losses import PairCriteria
-from esd.learning.pairs import PointTable, standardisation
 from esd.learning.presets import PRESETS, Training
+from esd.learning.table import PointTable, standardisation
 from esd.spectral.cache import Arrays, content_key
 from esd.viewing.figures import blank_figure
 

@@ -13,7 +13,7 @@ from esd.common import FloatArray, IntArray
 from esd.experiments.report import Report, Table
 from esd.experiments.setting import KINDS, Setting, descriptor_table, paper_training
 from esd.learning.dimension import components_needed, nearest_neighbours, residual_variances
-from esd.learning.pairs import standardisation
+from esd.learning.table import standardisation
 from esd.viewing.figures import blank_figure
 
 NEIGHBOURS = range(6, 26)

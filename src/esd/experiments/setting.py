@@ -15,8 +15,8 @@ from esd import __version__
 from esd.datasets.collection import Collection
 from esd.learning.fit import fit
 from esd.learning.model import Model, load_model, save_model
-from esd.learning.pairs import PointTable, point_table
 from esd.learning.presets import PRESETS, Training
+from esd.learning.table import PointTable, point_table
 from esd.spectral.cache import Cache, content_key
 
 KINDS = ("gps", "hks", "wks")

@@ -12,8 +12,9 @@ from esd.common import InputError
 from esd.learning.losses import PairCriteria, contrastive_loss, pair_criteria
 from esd.learning.network import linear_layers, seeded_network
 from esd.learning.optimise import descend
-from esd.learning.pairs import PairBatch, PointTable, draw_pairs
+from esd.learning.pairs import PairBatch, draw_pairs
 from esd.learning.presets import Training
+from esd.learning.table import PointTable
 from esd.learning.train import learning_rate
 
 _JUDGING = 2**32 - 1  # seed of the pairs that networks are judged on

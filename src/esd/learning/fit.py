@@ -13,8 +13,9 @@ from esd.common import FloatArray
 from esd.datasets.collection import Collection
 from esd.learning.model import Layer, Model
 from esd.learning.osd import optimal_metric, with_knots
-from esd.learning.pairs import PointTable, draw_pairs, point_table, standardisation, stored_table
+from esd.learning.pairs import draw_pairs
 from esd.learning.presets import Training
+from esd.learning.table import PointTable, point_table, standardisation, stored_table
 from esd.parallel import THIS_PROCESS, Workers
 from esd.spectral.cache import Cache
 

@@ -29,16 +29,9 @@ from esd.learning.optimise import (
     load_checkpoint,
     save_checkpoint,
 )
-from esd.learning.pairs import (
-    PairBatch,
-    PointTable,
-    draw_matches,
-    draw_pairs,
-    point_table,
-    standardisation,
-    stored_table,
-)
+from esd.learning.pairs import PairBatch, draw_matches, draw_pairs
 from esd.learning.presets import Training
+from esd.learning.table import PointTable, point_table, standardisation, stored_table
 from esd.parallel import THIS_PROCESS, Workers
 from esd.spectral.cache import Cache, content_key
 

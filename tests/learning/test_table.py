@@ -7,7 +7,7 @@ import pytest
 from esd.common import InputError
 from esd.datasets.collection import Collection, Shape
 from esd.descriptors.recipe import Descriptor, Recipe
-from esd.learning.pairs import point_table, standardisation
+from esd.learning.table import point_table, standardisation
 from esd.mesh.mesh import Mesh
 from esd.mesh.shapes import torus
 from esd.parallel import Workers
@@ -80,7 +80,7 @@ def test_shapes_that_fail_are_named(collection):
 def test_standardisation_takes_no_notice_of_its_parts(collection, monkeypatch):
     table = point_table(collection, RECIPE)
     table.values[5] = np.nan  # a vertex without a face
-    monkeypatch.setattr("esd.learning.pairs._CHUNK", 7)
+    monkeypatch.setattr("esd.learning.table._CHUNK", 7)
     mean, deviation = standardisation(table)
     known = np.delete(table.values, 5, axis=0).astype(np.float64)
     np.testing.assert_allclose(mean, known.mean(axis=0), rtol=1e-12)
