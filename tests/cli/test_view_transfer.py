@@ -157,7 +157,8 @@ def test_nothing_is_overwritten_unless_forced(run, pair):
         (pair / "a.npz").write_bytes(b"x")
         (pair / "a-b.html").write_bytes(b"x")
         (pair / "model").mkdir(exist_ok=True)
-        (pair / "model" / "config.json").write_text("x")
+        for name in ("config.json", "model.safetensors"):
+            (pair / "model" / name).write_text("x")
         (pair / "set" / "shapes").mkdir(parents=True, exist_ok=True)
         (pair / "set" / "shapes" / "x.off").write_text("x")
         done = run(*arguments, where=pair, expect=1)
