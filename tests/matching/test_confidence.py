@@ -2,8 +2,10 @@ import numpy as np
 import pytest
 
 from esd.matching.confidence import confidence, evidence, judgement, orientation
+from esd.matching.match import with_similarity
 from esd.mesh.mesh import Mesh
 from esd.mesh.shapes import icosphere
+from esd.nearest import nearest
 
 
 @pytest.fixture
@@ -67,3 +69,22 @@ def test_vertices_without_a_face_say_nothing_of_a_map(blob, truth):
     expected = judgement(blob, blob, truth, values)
     assert judgement(lone, blob, index, more) == expected
     assert expected.verdict == "good"
+
+
+def test_similarity_and_rejection():
+    result = with_similarity(
+        np.array([[0.0], [3.0]]), np.array([[1.0]]), np.array([0, 0]), margin=5.0
+    )
+    np.testing.assert_allclose(result.confidence, np.exp([-1 / 5, -4 / 5]))
+    kept = result.rejecting(2.5)
+    np.testing.assert_array_equal(kept.target_index, [0, -1])
+    np.testing.assert_array_equal(kept.is_matched(), [True, False])
+    assert kept.confidence[1] == 0
+
+
+def test_without_margin_similarity_is_relative_to_chance():
+    generator = np.random.default_rng(0)
+    source, target = generator.standard_normal((300, 4)), generator.standard_normal((200, 4)) + 1
+    mean = ((source[:, None] - target) ** 2).sum(axis=2).mean()
+    result = with_similarity(source, target, nearest(source, target)[0], margin=None)
+    np.testing.assert_allclose(result.confidence, np.exp(-(result.distance**2) / mean))

@@ -98,3 +98,63 @@ def test_it_shows_itself_in_a_line_and_drops_what_is_not_sure(blob):
     assert MATCH.confident(0.95).target_index.tolist() == [-1, -1, 0]
     unknown = Correspondence(np.array([1]), np.array([np.nan]), np.array([np.nan]))
     assert unknown.confident(0.5).target_index.tolist() == [1]
+
+
+@pytest.mark.parametrize("suffix", ["csv", "npy", "txt", "vts"])
+def test_maps_come_back_as_they_were_saved(tmp_path, suffix):
+    saved = Correspondence(
+        np.array([2, -1, 0]), np.array([0.25, np.inf, 1.5]), np.array([0.5, 0.0, 0.125])
+    )
+    path = tmp_path / f"map.{suffix}"
+    save_map(saved, path)
+    back = load_map(path, source_count=3, target_count=3)
+    np.testing.assert_array_equal(back.target_index, saved.target_index)
+    if suffix == "csv":
+        assert path.read_text().splitlines()[:2] == [
+            "source,target,distance,confidence",
+            "0,2,0.25,0.5",
+        ]
+        np.testing.assert_array_equal(back.distance, saved.distance)
+        np.testing.assert_array_equal(back.confidence, saved.confidence)
+    elif suffix != "npy":
+        assert path.read_text() == "3\n0\n1\n"
+    with pytest.raises(InputError, match="maps 3 vertices; the source mesh has 4"):
+        load_map(path, source_count=4, target_count=3)
+    with pytest.raises(InputError, match="names target vertex 2"):
+        load_map(path, source_count=3, target_count=2)
+
+
+def test_files_that_hold_no_map_are_refused(tmp_path):
+    counts = {"source_count": 2, "target_count": 2}
+    for name, content in [
+        ("a.csv", b"from,to\n0,1\n"),
+        ("b.csv", b"source,target\n0,x\n"),
+        ("c.npy", b"garbage"),
+        ("d.txt", b"one\n"),
+    ]:
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(InputError, match=name):
+            load_map(tmp_path / name, **counts)
+    np.save(tmp_path / "e.npy", np.zeros((2, 2)))
+    with pytest.raises(InputError, match=r"integers of shape \(n,\)"):
+        load_map(tmp_path / "e.npy", **counts)
+    np.save(tmp_path / "f.npy", np.array([{}, {}]), allow_pickle=True)
+    with pytest.raises(InputError, match="holds no array"):
+        load_map(tmp_path / "f.npy", **counts)
+    with pytest.raises(InputError, match="ends in one of"):
+        load_map(tmp_path / "g.xml", **counts)
+    with pytest.raises(InputError, match="There is no file"):
+        load_map(tmp_path / "g.csv", **counts)
+
+
+def test_a_correspondence_shows_itself():
+    match = Correspondence(
+        np.array([2, 2, -1]), np.array([0.1, 0.2, np.inf]), np.array([0.5, 1, 0])
+    )
+    shown = match._repr_html_()
+    assert "<td>2 (67%)</td>" in shown
+    assert "different target vertices</th><td>1</td>" in shown
+    assert shown.count("<rect") == 20
+    unknown = np.full(3, np.nan)
+    assert "confidence" not in Correspondence(match.target_index, unknown, unknown)._repr_html_()
+    assert set(match.attributes()) == {"target", "distance", "confidence"}

@@ -1,3 +1,6 @@
+import gzip
+import zipfile
+
 import numpy as np
 import pytest
 
@@ -112,3 +115,29 @@ def test_obj_vertices_without_three_coordinates_are_refused(tmp_path):
     path.write_text("v 0 0\n")
     with pytest.raises(InputError, match="fewer than three coordinates"):
         read_mesh(path)
+
+
+def test_packed_files_are_read(tmp_path):
+    mesh = torus(7, 5)
+    write_mesh(mesh, tmp_path / "m.ply")
+    (tmp_path / "m.ply.gz").write_bytes(gzip.compress((tmp_path / "m.ply").read_bytes()))
+    back = read_mesh(tmp_path / "m.ply.gz")
+    np.testing.assert_array_equal(back.vertices, mesh.vertices)
+    np.testing.assert_array_equal(back.faces, mesh.faces)
+    (tmp_path / "m.ply.gz").write_bytes(b"hello")
+    with pytest.raises(InputError, match="cannot be unpacked"):
+        read_arrays(tmp_path / "m.ply.gz")
+
+
+def test_files_that_unpack_to_too_much_are_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr("esd.mesh.io.meshes._LARGEST_UNPACKED", 2**20)
+    monkeypatch.setattr("esd.mesh.io.extra._LARGEST", 2**20)
+    (tmp_path / "m.ply.gz").write_bytes(gzip.compress(bytes(2**22)))
+    with pytest.raises(InputError, match="unpacks to more than 1 GiB; unpack"):
+        read_arrays(tmp_path / "m.ply.gz")
+    pytest.importorskip("lxml", reason="lxml is not installed")
+    pytest.importorskip("networkx", reason="networkx is not installed")
+    with zipfile.ZipFile(tmp_path / "m.3mf", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("3D/3dmodel.model", bytes(2**22))
+    with pytest.raises(InputError, match="unpacks to more than 1 GiB; simplify"):
+        read_arrays(tmp_path / "m.3mf")

@@ -7,15 +7,7 @@ import pytest
 from esd.common import InputError
 from esd.datasets.collection import Shape
 from esd.descriptors.recipe import Descriptor, Recipe
-from esd.evaluation.errors import (
-    Truth,
-    area_under_curve,
-    cumulative_curve,
-    errors_on_target,
-    geodesic_errors,
-)
 from esd.evaluation.protocol import (
-    NEAR,
     PairErrors,
     VerdictCount,
     confidence_bins,
@@ -24,43 +16,11 @@ from esd.evaluation.protocol import (
     verdict_counts,
 )
 from esd.learning.model import Model, load_model
-from esd.mesh.geodesics import geodesic_diameter, geodesic_graph
+from esd.mesh.geodesics import geodesic_diameter
 from esd.mesh.geometry import surface_area
 from esd.mesh.mesh import Mesh
 from esd.nearest import nearest
 from esd.parallel import Workers
-
-
-def test_errors_are_distances_from_either_side(blob):
-    graph = geodesic_graph(blob)
-    generator = np.random.default_rng(0)
-    count = len(blob.vertices)
-    many, few = generator.integers(count, size=600), generator.integers(5, size=600)
-    expected = graph.distances(np.arange(count))
-    for predicted, truth in [(many, few), (few, many)]:
-        other = (truth + 1) % count
-        errors = geodesic_errors(graph, predicted, (truth, other))
-        np.testing.assert_allclose(errors[0], expected[predicted, truth])
-        np.testing.assert_allclose(errors[1], expected[predicted, other])
-        [limited] = geodesic_errors(graph, predicted, (truth,), limit=0.5)
-        np.testing.assert_array_equal(limited <= 0.5, errors[0] <= 0.5)
-
-
-def test_points_without_match_or_truth_have_no_error(blob):
-    [errors] = geodesic_errors(geodesic_graph(blob), np.array([0, -1, 3]), (np.array([0, 1, -1]),))
-    np.testing.assert_array_equal(errors, [0, np.nan, np.nan])
-
-
-def test_curve_and_area_of_known_errors():
-    errors = np.array([0.0, 0.1, 0.2, np.nan])
-    np.testing.assert_array_equal(
-        cumulative_curve(errors, np.array([0, 0.1, 0.15, 1])), [0.25, 0.5, 0.5, 0.75]
-    )
-    assert area_under_curve(errors, largest=0.2) == pytest.approx((1 + 0.5 + 0) / 4)
-    radii = np.linspace(0, 0.25, 20001)
-    assert area_under_curve(errors) == pytest.approx(
-        cumulative_curve(errors, radii).mean(), abs=1e-3
-    )
 
 
 @pytest.fixture
@@ -255,30 +215,3 @@ def test_rotated_shapes_have_the_same_errors(model, shapes):
     np.testing.assert_allclose(first @ first.T, original @ original.T, atol=1e-12)  # a rotation
     turn = np.linalg.lstsq(original, first, rcond=None)[0]
     assert np.linalg.det(turn) == pytest.approx(1)  # and no reflection
-
-
-def test_errors_on_a_target_are_those_of_each_map(blob):
-    count = len(blob.vertices)
-    index, mirrored = np.arange(count), np.arange(count)[::-1].copy()
-    predicted = np.stack([index, np.roll(index, 5)])
-    found = errors_on_target(Truth(blob, index, mirrored), predicted)
-    distances = geodesic_graph(blob).distances(index)
-    np.testing.assert_allclose(found.direct, distances[predicted, index])
-    np.testing.assert_allclose(
-        found.nearer, np.minimum(found.direct, distances[predicted, mirrored])
-    )
-    limited = errors_on_target(Truth(blob, index), predicted, limit=NEAR)
-    is_near = found.direct <= NEAR * found.diameter
-    np.testing.assert_array_equal(np.isfinite(limited.direct), is_near)
-    np.testing.assert_array_equal(limited.nearer, limited.direct)
-
-
-def test_another_component_is_a_diameter_away(blob):
-    count = len(blob.vertices)
-    twice = Mesh(
-        np.concatenate([blob.vertices, blob.vertices + 5]),
-        np.concatenate([blob.faces, blob.faces + count]),
-    )
-    index = np.arange(2 * count)
-    found = errors_on_target(Truth(twice, index), np.roll(index, count)[None])
-    np.testing.assert_allclose(found.direct, found.diameter)
