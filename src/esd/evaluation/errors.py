@@ -116,6 +116,7 @@ def geodesic_errors(
     if len(np.unique(far)) < len(np.unique(near)):
         near, far = far, near
     distance = np.empty(len(near))
+    # sorted by source; those of sources[i] are order[bounds[i]:bounds[i + 1]]
     order = np.argsort(near, kind="stable")
     sources, first = np.unique(near[order], return_index=True)
     bounds = np.append(first, len(order))

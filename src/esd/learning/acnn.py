@@ -85,6 +85,7 @@ def anisotropic_patches(mesh: Mesh, patches: AnisotropicPatches) -> SparseMatrix
             column, weight = _largest(operator, patches.entries)
             columns.append(column)
             weights.append(weight)
+    # computed by angle, then time, then vertex; wanted by vertex, then time, then angle
     order = (patches.angles, patches.times, size, patches.entries)
     column, weight = (
         np.array(each).reshape(order).transpose(2, 1, 0, 3) for each in (columns, weights)
@@ -147,6 +148,7 @@ def _largest(operator: SparseMatrix, count: int) -> tuple[IntArray, FloatArray]:
     """Columns and values, (n, count) each, of the largest entries of each row, made of sum one."""
     entries = np.diff(operator.indptr)
     row = np.repeat(np.arange(len(entries)), entries)
+    # the place of each entry in its row; rows are filled up with zeros to a rectangle
     place = np.arange(len(row)) - np.repeat(operator.indptr[:-1], entries)
     shape = (len(entries), max(count, int(entries.max())))
     values, columns = np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=np.int64)

@@ -105,6 +105,7 @@ def convolution(
     """
     outputs, rings, rays, _ = weight.shape
     turns = range(rays if turned else 1)
+    # columns by turn, then output; rows by ring, ray and input, as the bins of a patch follow
     filters = np.stack([np.roll(weight, turn, axis=2) for turn in turns])
     filters = filters.reshape(len(turns) * outputs, -1).T
     bins = rings * rays

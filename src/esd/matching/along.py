@@ -214,10 +214,12 @@ def _same_corners(known: IntArray, asked: IntArray) -> tuple[IntArray, IntArray]
 
     The row is -1 where there is none. A face that was flipped has its corners in another order.
     """
+    # faces with equal vertices have equal labels, whatever the order of their corners
     both = np.sort(np.concatenate([known, asked]), axis=1)
     kinds, label = np.unique(both, axis=0, return_inverse=True)
     label = label.reshape(-1)
     first = np.full(len(kinds), -1, dtype=np.int64)
+    # backwards, so that of several known faces the first is what remains
     first[label[: len(known)][::-1]] = np.arange(len(known))[::-1]
     rows = first[label[len(known) :]]
     corners = (known[rows][:, None, :] == asked[:, :, None]).argmax(axis=2)

@@ -153,6 +153,7 @@ def spectral_candidate(
     there_map = zoomout(*spectra, start[0], sizes=sizes, embeddings=at_samples)
     back_map = zoomout(*spectra[::-1], start[1], sizes=sizes, embeddings=at_samples[::-1])
     forward = _rows(source, target, there_map, embeddings, sizes[-1])
+    # computed from the target to the source, and put back into the order (source, target)
     backward = _rows(target, source, back_map, embeddings[::-1], sizes[-1])[::-1]
     return Candidate(name, forward, (backward[0], backward[1]), embeddings)
 

@@ -86,6 +86,7 @@ def components(mesh: Mesh) -> IntArray:
     _, label = csgraph.connected_components(graph, directed=False)
     referenced = is_referenced(mesh)
     found, inverse, count = np.unique(label[referenced], return_inverse=True, return_counts=True)
+    # rank[i]: the place of the i-th label found when they are sorted by size
     rank = np.empty(len(found), dtype=np.int64)
     rank[np.argsort(-count, kind="stable")] = np.arange(len(found))
     result = np.full(size, -1, dtype=np.int64)

@@ -57,6 +57,7 @@ def torus(around: int, across: int, *, radius: float = 1.0, tube: float = 0.4) -
     reach = radius + tube * np.cos(v)
     x, y, z = np.broadcast_arrays(reach * np.cos(u), reach * np.sin(u), tube * np.sin(v))
     vertices = np.stack([x, y, z], axis=2)
+    # vertex index[i, j] is the j-th across the tube at the i-th around; both ways are closed
     index = np.arange(around * across).reshape(around, across)
     right, up = np.roll(index, -1, axis=0), np.roll(index, -1, axis=1)
     return Mesh(vertices.reshape(-1, 3), _split_quads(index, right, np.roll(right, -1, axis=1), up))

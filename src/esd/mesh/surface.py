@@ -74,6 +74,7 @@ def nearest_vertices(mesh: Mesh, points: SurfacePoints) -> IntArray:
 
 def faces_around(faces: IntArray) -> sparse.csr_array:
     """Faces of each vertex, as the columns of its row."""
+    # corner 3 f + c is one of face f
     corners = (np.arange(3 * len(faces)) // 3, faces.ravel())
     return sparse.coo_array((np.ones(3 * len(faces)), corners[::-1])).tocsr()
 
@@ -117,6 +118,7 @@ def closest_around(
     face = np.empty(len(queries), dtype=np.int64)
     weights = np.zeros((len(queries), 3))
     least = np.full(len(queries), np.inf)
+    # in turn the first face at each vertex, the second, …; where there are no more, the last again
     for turn in range(int((last - first).max(initial=0))):
         candidate = around.indices[np.minimum(first + turn, last - 1)]
         at, squared = closest_in_triangles(queries, mesh.vertices[mesh.faces[candidate]])

@@ -246,6 +246,7 @@ def piece_of_faces(mesh: Mesh) -> IntArray:
     """Connected piece of each face, (m,), that with the largest area first."""
     label = components(mesh)[mesh.faces[:, 0]]
     area = np.bincount(label, weights=face_areas(mesh))
+    # rank[i]: the place of piece i when they are sorted by area
     rank = np.empty(len(area), dtype=np.int64)
     rank[np.argsort(-area, kind="stable")] = np.arange(len(area))
     return rank[label]
@@ -260,5 +261,5 @@ def largest_piece(mesh: Mesh) -> Mesh:
 def compacted(mesh: Mesh) -> tuple[Mesh, IntArray]:
     """The mesh without vertices that have no face; and what each became, (n,), -1 if removed."""
     used = is_referenced(mesh)
-    index = np.where(used, np.cumsum(used) - 1, -1)
+    index = np.where(used, np.cumsum(used) - 1, -1)  # the number of used vertices before
     return Mesh(mesh.vertices[used], index[mesh.faces]), index

@@ -57,6 +57,7 @@ def _cells(metric: sparse.csr_array, sites: IntArray) -> tuple[IntArray, FloatAr
 
 def _first_of_each(cell: IntArray, value: FloatArray) -> IntArray:
     """Member of each cell with the least value, in the order of the cells."""
+    # by cell, and within a cell by value: the first of each cell has the least
     order = np.lexsort((value, cell))
     order = order[cell[order] >= 0]
     return order[np.flatnonzero(np.diff(cell[order], prepend=-1))]

@@ -136,6 +136,7 @@ def _walked(mesh: Mesh, points: npt.NDArray[Any], start: IntArray) -> IntArray:
     current = start.copy()
     while True:
         best, least = current, ((mesh.vertices[current] - points) ** 2).sum(axis=1)
+        # in turn the first neighbour of each vertex, the second, …; at the end the last again
         for turn in range(degree.max()):
             slot = np.minimum(first[current] + turn, first[current] + degree[current] - 1)
             neighbour = neighbours.indices[slot]

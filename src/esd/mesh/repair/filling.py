@@ -78,6 +78,7 @@ def _patch(points: FloatArray) -> tuple[IntArray, IntArray]:
         size = max(3, round(len(points) * (1 - ring / rings)))
         inner = count + np.arange(size)
         faces.append(_between(outer, inner))
+        # the boundary vertex at the same share of the way around
         parents.append(np.arange(size) * len(points) // size)
         outer, count = inner, count + size
     middle = np.full(len(outer), count)
