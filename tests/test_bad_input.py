@@ -16,6 +16,7 @@ from esd.matching.correspondence import Correspondence, save_map
 from esd.mesh.io.meshes import write_mesh
 from esd.mesh.mesh import Mesh
 from esd.mesh.shapes import icosphere, torus
+from hostile_files import HOSTILE
 
 HEAD = "source,target,distance,confidence\n"
 COMMON = ("a.off", "b.off", "map.csv")
@@ -26,6 +27,12 @@ TRIANGLE = "OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 "
 def folder(tmp_path_factory) -> Path:
     """Good and bad inputs; nothing is ever written here but to `out`."""
     where = tmp_path_factory.mktemp("bad")
+    make_inputs(where)
+    return where
+
+
+def make_inputs(where: Path) -> None:
+    """Write good and bad inputs to a folder; `tools/list_bad_input.py` does, too."""
     mesh = torus(12, 8)
     for name in ("a.off", "b.off", "a.ply", "a.obj"):
         write_mesh(mesh, where / name)
@@ -105,7 +112,6 @@ def folder(tmp_path_factory) -> Path:
     (where / "lost" / "corres").mkdir()
     write_mesh(mesh, where / "lost" / "shapes" / "a.off")
     (where / "out").mkdir()
-    return where
 
 
 BAD_MESHES = (
@@ -338,8 +344,15 @@ def test_bad_input_is_refused(folder, monkeypatch, capsys, arguments, code, said
     assert not list((folder / "out").rglob("*"))
 
 
-def test_there_are_enough_kinds_of_it():
+def test_there_are_enough_kinds_of_it_and_the_page_lists_them():
     assert len({case[0] for case in CASES}) == len(CASES) >= 150
+    page = (Path(__file__).parents[1] / "docs" / "robustness.md").read_text()
+    listed = [
+        line.split("|")[1].strip(" `") for line in page.splitlines() if line.startswith("| `")
+    ]
+    commands = {" ".join(["esd", *arguments]).replace("|", "") for arguments, *_ in CASES}
+    assert commands | set(HOSTILE) <= set(listed), "run tools/list_bad_input.py"
+    assert len(set(listed)) >= 150
 
 
 WRITING = {

@@ -15,6 +15,7 @@ from esd.common import (
     existing_file,
     install_hint,
     read_array,
+    reason,
     whole_file,
     whole_folder,
     whole_number,
@@ -128,6 +129,27 @@ def test_whole_numbers_are_read_and_others_refused():
             whole_number(text)
     with pytest.raises(InputError, match="expected a whole number; got '1000"):
         whole_number(str(10**18))
+
+
+def test_reasons_are_in_plain_words():
+    said = []
+    for parse in (
+        lambda: int("x y"),
+        lambda: int(b"x"),
+        lambda: float("zero"),
+        lambda: np.loadtxt(["1 one"]),
+        lambda: b"a\xff".decode(),
+    ):
+        with pytest.raises(ValueError, match=r"\w") as raised:
+            parse()
+        said.append(reason(raised.value))
+    assert said == [
+        "expected a whole number; got 'x y'",
+        "expected a whole number; got 'x'",
+        "expected a number; got 'zero'",
+        "expected a number; got 'one' at row 0, column 2",
+        "byte 2 of it is no text in UTF-8",
+    ]
 
 
 def test_files_that_cannot_be_there_are_missing(tmp_path):

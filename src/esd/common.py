@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import os
+import re
 import shutil
 import sys
 import tempfile
@@ -24,6 +25,12 @@ DISTRIBUTION = "embedded-spectral-descriptors"
 
 _EXCHANGE = 2  # RENAME_EXCHANGE of renameat2(2)
 _HERE = -100  # AT_FDCWD
+_PLAIN = {  # what int, float and numpy say
+    r"invalid literal for int\(\) with base 10: b?'(.*)'": r"expected a whole number; got '\1'",
+    r"could not convert string to float: b?'(.*)'": r"expected a number; got '\1'",
+    r"; use `usecols`.*": "",
+    r"could not convert string '(.*)' to \w+ at": r"expected a number; got '\1' at",
+}
 _LONGEST = 18  # digits of a number that 64 bits hold
 
 
@@ -77,12 +84,21 @@ def read_array(path: str | os.PathLike[str]) -> npt.NDArray[Any]:
     try:
         array = np.load(path, mmap_mode="r", allow_pickle=False)
     except Exception as error:  # numpy parses the header as Python, which fails in many ways
-        why = " ".join(str(error).split()).rstrip(".")
-        raise InputError(f"'{path}' holds no array: {why}.") from error
+        raise InputError(f"'{path}' holds no array: {reason(error)}.") from error
     if not isinstance(array, np.ndarray):
         array.close()
         raise InputError(f"'{path}' holds no array: it is an archive, as in .npz files.")
     return array
+
+
+def reason(error: Exception) -> str:
+    """Why something could not be parsed, in one line and in plain words where Python's are not."""
+    if isinstance(error, UnicodeDecodeError):
+        return f"byte {error.start + 1} of it is no text in UTF-8"
+    said = " ".join(str(error).split()).rstrip(".")
+    for pattern, words in _PLAIN.items():
+        said = re.sub(pattern, words, said)
+    return said
 
 
 def whole_number(cell: str | None) -> int:

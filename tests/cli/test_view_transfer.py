@@ -200,7 +200,7 @@ def test_broken_meshes_are_shown_with_the_vertices_of_their_files(run, tmp_path,
         assert {array: size for array, _, _, size in json.loads(layout[1])}["map"] == 384
     (tmp_path / "points.xyz").write_text("\n".join(" ".join(map(str, v)) for v in whole.vertices))
     done = run("match", "points.xyz", "a.off", "-m", "hks", "--view", where=tmp_path, expect=1)
-    assert "Nothing can be drawn: there is no face between finite vertices" in done.stderr
+    assert "There is no face between finite vertices; a surface is needed" in done.stderr
     assert not (tmp_path / "points-a.csv").exists()
 
 

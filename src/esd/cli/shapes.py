@@ -37,5 +37,5 @@ def read_drawable(path: Path) -> Mesh:
     with about(path):
         mesh = usable_part(path)
         if not surface_area(mesh) > 0:
-            raise InputError("Nothing can be drawn: its faces have no area.")
+            raise InputError("Its faces have no area; a surface is needed.")
         return mesh

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from esd.common import InputError, IntArray, existing_file
+from esd.common import InputError, IntArray, existing_file, reason
 from esd.mesh.io.landmarks import Landmarks
 from esd.mesh.mesh import Mesh
 from esd.mesh.repair.repair import Repaired, repair
@@ -235,7 +235,7 @@ def read_pairs(
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except UnicodeDecodeError as error:
-        raise InputError(f"'{path}' must be a text file in UTF-8: {error}.") from error
+        raise InputError(f"'{path}' cannot be read: {reason(error)}.") from error
     listed: list[tuple[int, str, list[str]]] = []
     for number, line in enumerate(lines, start=1):
         if not line.strip():

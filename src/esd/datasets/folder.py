@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from esd.common import InputError, IntArray
+from esd.common import InputError, IntArray, reason
 from esd.datasets.collection import Collection, Shape
 from esd.mesh.io.landmarks import Landmarks, read_landmarks
 from esd.mesh.io.meshes import FORMATS, read_arrays
@@ -101,7 +101,7 @@ def read_vts(path: str | os.PathLike[str]) -> IntArray:
     except FileNotFoundError:
         raise InputError(f"There is no correspondence '{path}'.") from None
     except (ValueError, UnicodeDecodeError, OverflowError) as error:
-        raise InputError(f"'{path}' must hold one vertex index a line: {error}.") from error
+        raise InputError(f"'{path}' must hold one vertex index a line: {reason(error)}.") from error
     if len(index) == 0:
         raise InputError(f"'{path}' is empty.")
     if index.min() < 0:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from esd.common import InputError, existing_file, is_file
+from esd.common import InputError, existing_file, is_file, reason
 from esd.learning.model import Model
 from esd.matching.correspondence import check_map_path, save_map
 from esd.matching.features import Features
@@ -98,7 +98,7 @@ def read_pairs_of_files(
                 for row in rows
             ]
     except (csv.Error, UnicodeDecodeError) as error:
-        raise InputError(f"'{path}' is no CSV file: {error}.") from error
+        raise InputError(f"'{path}' is no CSV file: {reason(error)}.") from error
     pairs = []
     for number, (source, target, output, *landmarks) in enumerate(listed, start=1):
         if not source or not target:

@@ -20,6 +20,7 @@ from esd.common import (
     IntArray,
     existing_file,
     read_array,
+    reason,
     whole_file,
     whole_number,
 )
@@ -186,7 +187,7 @@ def load_map(
             raise
         raise InputError(f"'{path}' holds no map: {error}.") from error
     except (ValueError, OSError, KeyError, EOFError, OverflowError, csv.Error) as error:
-        raise InputError(f"'{path}' holds no map: {' '.join(str(error).split())}.") from error
+        raise InputError(f"'{path}' holds no map: {reason(error)}.") from error
     if source_count is not None and len(index) != source_count:
         raise InputError(
             f"'{path}' maps {len(index)} vertices; the source mesh has {source_count}."

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from esd.common import FloatArray, InputError, IntArray, existing_file, whole_number
+from esd.common import FloatArray, InputError, IntArray, existing_file, reason, whole_number
 from esd.matching.candidates import (
     Candidate,
     Rows,
@@ -88,7 +88,7 @@ def read_landmark_pairs(path: str | os.PathLike[str]) -> tuple[tuple[str, ...], 
                 pairs.append((_vertex(row, "source", where), _vertex(row, "target", where)))
                 names.append(row.get("name") or str(len(pairs)))
     except (csv.Error, UnicodeDecodeError) as error:
-        raise InputError(f"'{path}' is no CSV file: {error}.") from error
+        raise InputError(f"'{path}' is no CSV file: {reason(error)}.") from error
     if not pairs:
         raise InputError(f"'{path}' lists no landmarks.")
     return tuple(names), np.array(pairs, dtype=np.int64)

@@ -10,7 +10,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from esd.common import FloatArray, InputError, IntArray, existing_file, read_array, whole_file
+from esd.common import (
+    FloatArray,
+    InputError,
+    IntArray,
+    existing_file,
+    read_array,
+    reason,
+    whole_file,
+)
 
 _SUFFIXES = (".npy", ".csv", ".txt")
 
@@ -92,7 +100,7 @@ def read_values(path: str | os.PathLike[str]) -> FloatArray:
     try:
         values = np.loadtxt(io.StringIO(text), ndmin=2)
     except ValueError as error:
-        raise InputError(f"'{path}' must hold numbers, a line a vertex: {error}") from error
+        raise InputError(f"'{path}' must hold numbers for each vertex: {reason(error)}.") from error
     return values[:, 0] if values.shape[1] == 1 else values
 
 
@@ -120,7 +128,7 @@ def _text(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
-        raise InputError(f"'{path}' is no text: {error}.") from error
+        raise InputError(f"'{path}' cannot be read: {reason(error)}.") from error
 
 
 def _save(values: npt.NDArray[Any], path: Path) -> None:

@@ -16,7 +16,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from scipy.spatial import KDTree
 
-from esd.common import FloatArray, InputError, IntArray, existing_file, whole_file
+from esd.common import FloatArray, InputError, IntArray, existing_file, reason, whole_file
 from esd.mesh.mesh import Mesh, PointCloud
 
 _TOLERANCE = 0.05  # of the bounding diagonal: a click is off by this much at most
@@ -88,11 +88,13 @@ def read_landmarks(path: str | os.PathLike[str], mesh: Mesh | PointCloud) -> Lan
     except InputError as error:
         raise InputError(f"'{path}' {error}") from error
     except UnicodeDecodeError as error:
-        raise InputError(f"'{path}' is no text: {error}.") from error
+        raise InputError(f"'{path}' cannot be read: {reason(error)}.") from error
     except OSError as error:
         raise InputError(f"'{path}' cannot be read: {error.strerror or error}.") from error
     except (ValueError, TypeError, KeyError, IndexError, AttributeError, csv.Error) as error:
-        raise InputError(f"'{path}' holds a landmark that is not as expected: {error}.") from error
+        raise InputError(
+            f"'{path}' holds something else than landmarks: {reason(error)}."
+        ) from error
     if not rows:
         raise InputError(f"'{path}' holds no landmarks.")
     vertices = np.array([-1 if row.vertex is None else row.vertex for row in rows])

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from esd.common import InputError, existing_file, whole_file
+from esd.common import InputError, existing_file, reason, whole_file
 from esd.mesh.io.extra import read_3mf, read_by_meshio, read_freesurfer, read_gifti
 from esd.mesh.io.gltf import read_gltf
 from esd.mesh.io.obj import obj_text, read_obj
@@ -175,7 +175,7 @@ def read_arrays(path: str | os.PathLike[str]) -> tuple[npt.NDArray[Any], npt.NDA
     except Exception as error:  # whatever a parser stumbles over is bad input
         kind = suffix[1:].upper()
         faulty = isinstance(error, AttributeError | TypeError | KeyError | IndexError)
-        why = "it is damaged, or of another format" if faulty else str(error)
+        why = "it is damaged, or of another format" if faulty else reason(error)
         raise InputError(f"'{path}' cannot be read as {kind}: {why}") from error
     if polygons != len(faces):
         _log.warning("'%s': %d polygons were cut into %d triangles.", path, polygons, len(faces))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,9 @@ _KINDS = {"F": "f", "I": "i", "U": "u"}
 
 def read_xyz(path: Path) -> npt.NDArray[Any]:
     """A point a line, (n, 3): its first three numbers."""
-    points = np.loadtxt(path, ndmin=2, usecols=(0, 1, 2))
+    with warnings.catch_warnings():  # of a file without points, which is refused here
+        warnings.simplefilter("ignore")
+        points = np.loadtxt(path, ndmin=2, usecols=(0, 1, 2))
     if len(points) == 0:
         raise InputError("there are no points in it.")
     return points

@@ -282,7 +282,7 @@ def usable_part(source: MeshLike) -> Mesh:
     """
     _, mesh = sound_part(*loose_arrays(source))
     if mesh is None:
-        raise InputError("Nothing can be drawn: there is no face between finite vertices.")
+        raise InputError("There is no face between finite vertices; a surface is needed.")
     return mesh
 
 
