@@ -176,7 +176,7 @@ def test_pairs_files(registered, remeshed, tmp_path):
     with pytest.raises(InputError, match="There is no file"):
         read_pairs(tmp_path / "none", collection)
     file.write_bytes(b"cat0\t\xff\n")
-    with pytest.raises(InputError, match=r"pairs' must be a text file in UTF-8"):
+    with pytest.raises(InputError, match=r"pairs' cannot be read: byte 6 of it is no text"):
         read_pairs(file, collection)
 
 
