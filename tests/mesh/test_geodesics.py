@@ -1,3 +1,5 @@
+import sys
+
 import numpy as np
 import pytest
 
@@ -18,6 +20,7 @@ def test_distances_on_the_sphere_are_angles():
 
 
 def test_exact_distances_on_a_plane_are_euclidean_and_never_longer():
+    pytest.importorskip("pygeodesic", reason="exact geodesics need the extra `exact`")
     mesh = grid(9, 7)
     exact = geodesic_distances(mesh, np.array([5]), exact=True)[0]
     np.testing.assert_allclose(
@@ -49,6 +52,14 @@ def test_other_components_are_infinitely_far():
 
 def test_diameter_of_a_square_is_its_diagonal():
     assert geodesic_diameter(grid(20, 20)) == pytest.approx(2**0.5, rel=0.01)
+
+
+def test_without_the_extra_the_message_names_it(monkeypatch, sphere):
+    monkeypatch.setitem(sys.modules, "pygeodesic", None)
+    with pytest.raises(
+        InputError, match=r"Exact geodesics need pygeodesic: pip install .*\[exact\]"
+    ):
+        geodesic_distances(sphere, np.array([0]), exact=True)
 
 
 def test_sources_must_be_vertices(sphere):
