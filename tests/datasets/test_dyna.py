@@ -3,10 +3,8 @@ import numpy as np
 import pytest
 
 from esd.common import InputError
-from esd.datasets.collection import Collection, Shape
 from esd.datasets.dyna import dyna_collection, is_dyna, recordings, save_selection
 from esd.datasets.open import open_collection
-from esd.datasets.splits import sample_by_subject, sample_subjects, unseen_subjects
 from esd.mesh.shapes import torus
 
 SEQUENCES = {
@@ -136,26 +134,3 @@ def test_unreadable_frames_are_reported(dyna, tmp_path):
     assert len(collection.shapes[6].mesh().vertices) == 12
     with pytest.raises(InputError, match="'50002_hips', frame 7 cannot be read"):
         collection.shapes[7].mesh()
-
-
-def test_splits_and_samples_go_by_subject():
-    shapes = [Shape(f"{s}{i}", s, "t", None, None) for s in "abcdefgh" for i in range(12)]
-    collection = Collection("x", tuple(shapes))
-    training, testing = unseen_subjects(collection)
-    assert testing.subjects == ("g", "h")
-    assert training.subjects == tuple("abcdef")
-    training, testing = unseen_subjects(collection, patterns="a1")
-    assert [shape.name for shape in testing.shapes] == ["a1"]
-    assert training.subjects == tuple("bcdefgh")
-    _, testing = unseen_subjects(Collection("x", tuple(shapes), ("b",)))
-    assert testing.subjects == ("b",)
-    assert unseen_subjects(collection, least=4)[1].subjects == tuple("efgh")
-    some = sample_subjects(collection, 3, seed=1)
-    assert len(some.subjects) == 3
-    assert len(some.shapes) == 36
-    assert some.subjects != sample_subjects(collection, 3, seed=2).subjects
-    assert sample_subjects(collection, 9) == collection
-    sample = sample_by_subject(collection, 5, seed=1)
-    assert [sum(s.subject == k for s in sample.shapes) for k in "abcdefgh"] == [5] * 8
-    assert sample != sample_by_subject(collection, 5, seed=2)
-    assert sample_by_subject(collection, 12) == collection

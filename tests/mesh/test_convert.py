@@ -27,14 +27,6 @@ def test_scenes_clouds_and_open3d_meshes_are_taken():
     np.testing.assert_array_equal(as_mesh(open3d).faces, MESH.faces)
 
 
-def test_unstructured_grids_hold_triangles_and_quadrilaterals():
-    cells = {5: np.array([[0, 1, 2]]), 9: np.array([[0, 1, 2, 3]])}
-    grid = SimpleNamespace(points=MESH.vertices, cells_dict=cells)
-    np.testing.assert_array_equal(as_mesh(grid).faces, [[0, 1, 2], [0, 1, 2], [0, 2, 3]])
-    with pytest.raises(InputError, match="only cells of type 10"):
-        as_mesh(SimpleNamespace(points=MESH.vertices, cells_dict={10: cells[9]}))
-
-
 TRIANGLE = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
 
 
