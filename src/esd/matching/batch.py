@@ -153,7 +153,7 @@ def match_files(
     min_confidence
         Matches of less confidence are dropped.
     everything
-        See `esd.mesh.doctor.repair`.
+        See `esd.mesh.repair.repair.repair`.
     coarse, full
         See `match`.
     workers
