@@ -1,3 +1,4 @@
+import logging
 import os
 import signal
 import subprocess
@@ -83,6 +84,30 @@ def test_processes_end_when_their_parent_is_killed(tmp_path):
     while _runs(worker):
         assert time.monotonic() < deadline
         time.sleep(0.05)
+
+
+def warn(number: int) -> None:
+    logging.getLogger("esd").warning("job %d", number)
+    logging.getLogger("esd").info("not asked for")
+
+
+def test_processes_log_as_their_parent_does(tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text(
+        "import logging, test_parallel as t; from esd.parallel import Workers, outcomes\n"
+        "if __name__ == '__main__':\n"
+        "    logging.basicConfig(format='esd: %(message)s', level=logging.WARNING)\n"
+        "    list(outcomes(t.warn, [1], workers=Workers(2)))\n"
+    )
+    path = os.pathsep.join([HERE, *sys.path])
+    done = subprocess.run(
+        [sys.executable, script],
+        env={**os.environ, "PYTHONPATH": path},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stderr == "esd: job 1\n"
 
 
 def _runs(process: int) -> bool:

@@ -4,7 +4,7 @@ Run by `make fuzz`. The first byte of an input chooses the kind of file. An inpu
 anything but a result or an InputError is written to the folder `fuzz`, once for each place in the
 code where that happens, and the run continues; its exit code is 1 if there was any. The arguments
 are those of libFuzzer, such as `-seed=1 -max_total_time=1800`; after `--only`, words name the
-groups that are tried: `python tools/fuzz.py -seed=1 --only maps cache`.
+groups or kinds that are tried: `python tools/fuzz.py -seed=1 --only maps cache`.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ with atheris.instrument_imports(
     from esd.matching.batch import read_pairs_of_files
     from esd.matching.correspondence import MAP_SUFFIXES, Correspondence, load_map, save_map
     from esd.matching.landmarks import read_landmark_pairs
-    from esd.mesh.io.attributes import read_vertex_colours
+    from esd.mesh.io.attributes import read_vertex_colours, write_with_attributes
     from esd.mesh.io.fields import read_labels, read_values
     from esd.mesh.io.landmarks import (
         LANDMARK_FORMATS,
@@ -172,6 +172,27 @@ def _kinds() -> list[Kind]:
     return kinds
 
 
+def _legacy_vtk(*, is_text: bool) -> bytes:
+    """A legacy file of VTK with the data set POLYDATA, of version 5 if it is binary."""
+    count, faces = len(_MESH.vertices), len(_MESH.faces)
+    head = f"title\n{'ASCII' if is_text else 'BINARY'}\nDATASET POLYDATA\nPOINTS {count} double\n"
+    if is_text:
+        points = " ".join(map(str, _MESH.vertices.ravel()))
+        cells = "\n".join(f"3 {a} {b} {c}" for a, b, c in _MESH.faces)
+        body = f"{points}\nPOLYGONS {faces} {4 * faces}\n{cells}\n"
+        return f"# vtk DataFile Version 3.0\n{head}{body}".encode()
+    return b"".join(
+        [
+            f"# vtk DataFile Version 5.1\n{head}".encode(),
+            _MESH.vertices.astype(">f8").tobytes(),
+            f"\nPOLYGONS {faces + 1} {3 * faces}\nOFFSETS vtktypeint64\n".encode(),
+            (3 * np.arange(faces + 1)).astype(">i8").tobytes(),
+            b"\nCONNECTIVITY vtktypeint64\n",
+            _MESH.faces.astype(">i8").tobytes(),
+        ]
+    )
+
+
 def _by_others() -> dict[str, list[bytes]]:
     """Whole files of the formats that other packages write, where they are installed."""
     found: dict[str, list[bytes]] = {
@@ -179,8 +200,11 @@ def _by_others() -> dict[str, list[bytes]]:
             b"VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 2\nHEIGHT 1\n"
             b"POINTS 2\nDATA ascii\n1 2 3\n4 5 6\n"
         ],
+        ".vtk": [_legacy_vtk(is_text=True), _legacy_vtk(is_text=False)],
         ".xyz": [b"0 0 0\n1 0 0\n0 1 0\n0 0 1\n"],
     }
+    write_with_attributes(_MESH, {"a": np.zeros(len(_MESH.vertices))}, _FOLDER / "seed.vtp")
+    found[".vtp"] = [(_FOLDER / "seed.vtp").read_bytes()]
     try:
         import meshio
         import nibabel
@@ -276,7 +300,7 @@ if __name__ == "__main__":
         at = sys.argv.index("--only")
         wanted = sys.argv[at + 1 :]
         del sys.argv[at:]
-    KINDS = [kind for kind in _kinds() if not wanted or kind.group in wanted]
+    KINDS = [kind for kind in _kinds() if not wanted or {kind.group, kind.name} & set(wanted)]
     FAILURES: set[str] = set()
     atexit.register(lambda: os._exit(1) if FAILURES else None)
     _start(sys.argv)

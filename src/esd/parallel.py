@@ -214,8 +214,14 @@ def _pooled(
     # spawned, because forking a process that runs threads can hang
     context = get_context("spawn")
     ended, end = context.Pipe(duplex=False)
+    root = logging.getLogger()
+    formatters = [each.formatter for each in root.handlers if each.formatter]
+    form = formatters[0]._fmt if formatters else None
     pool = ProcessPoolExecutor(
-        processes, mp_context=context, initializer=_end_with_parent, initargs=(ended,)
+        processes,
+        mp_context=context,
+        initializer=_start,
+        initargs=(ended, root.level, form),
     )
     try:
         yield from _handed_out(function, jobs, pool, lambda: processes)
@@ -359,6 +365,12 @@ def _in_words(error: Exception) -> str:
     """The reason of a failure in one line."""
     said = " ".join(str(error).split())
     return said if isinstance(error, InputError) else f"{type(error).__name__}: {said}"
+
+
+def _start(ended: Connection, level: int, form: str | None) -> None:
+    """Let a new process end with its parent, and log what it logs in the same form."""
+    _end_with_parent(ended)
+    logging.basicConfig(level=level, format=form or "%(message)s")
 
 
 def _end_with_parent(ended: Connection) -> None:

@@ -125,7 +125,10 @@ def test_vertices_that_are_not_finite_are_left_out(registered, caplog):
     collection = folder_collection(registered)
     assert collection.unregistered() == ()
     read = collection["tr_reg_001"].mesh()
-    assert "tr_reg_001.off': 1 vertices are not finite; they and their 6 faces" in caplog.text
+    assert (
+        "tr_reg_001.off': coordinates that are not finite at 1 of its vertices; these and their 6 faces"
+        in caplog.text
+    )
     assert len(read.faces) == len(mesh.faces) - 6
     assert not (read.faces == 7).any()
     _, index, _ = repaired_shape(collection["tr_reg_001"])

@@ -308,7 +308,8 @@ def _read(file: Path) -> _Read:
         middle = vertices[finite].mean(axis=0) if finite.any() else np.zeros(3)
         used = finite[mesh.faces].all(axis=1)
         _log.warning(
-            "'%s': %d vertices are not finite; they and their %d faces are left out.",
+            "'%s': coordinates that are not finite at %d of its vertices; these and their %d faces "
+            "are left out.",
             file,
             np.sum(~finite),
             np.sum(~used),

@@ -185,3 +185,12 @@ def test_any_arrays_are_diagnosed_and_repaired_or_refused(mesh):
         if everything and isinstance(repaired.shape, Mesh):
             kinds = found(repaired.compacted().shape, thorough=False)
             assert not {"non_manifold_edges", "duplicate_faces", "loose_pieces"} & set(kinds)
+
+
+def test_a_repaired_shape_is_shown_in_one_line():
+    vertices = np.concatenate([SPHERE.vertices, [[9.0, 9.0, 9.0]]])
+    shown = repr(repair((vertices, SPHERE.faces)))
+    assert shown == (
+        f"<Repaired Mesh of {len(vertices)} vertices and {len(SPHERE.faces)} faces "
+        f"of {len(vertices)} vertices>"
+    )

@@ -80,6 +80,9 @@ class Repaired:
     is_flipped: bool = False
     lost: float = 0.0
 
+    def __repr__(self) -> str:
+        return f"<Repaired {str(self.shape).strip('<>')} of {len(self.vertex_index)} vertices>"
+
     def in_a_line(self) -> str:
         """What was found, and what was done about it, in one line; empty if nothing was."""
         return ", ".join(
