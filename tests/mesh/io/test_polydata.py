@@ -83,6 +83,13 @@ def test_legacy_files_that_cannot_be_used_are_refused(tmp_path, old, new, messag
         read_arrays(tmp_path / "m.vtk")
 
 
+def test_files_whose_data_set_is_in_the_middle_of_a_line_end(tmp_path):
+    content = legacy("3.0", is_text=True).replace(b"\nDATASET", b" DATASET")
+    (tmp_path / "m.vtk").write_bytes(content)
+    with pytest.raises(InputError, match=r"m.vtk'.*no faces in it"):
+        read_arrays(tmp_path / "m.vtk")
+
+
 def vtp(form: str, *, packed: bool, header: str = "UInt32", kind: str = "PolyData") -> bytes:
     """A file with its arrays inline (`ascii`, `binary`) or appended (`raw`, `base64`)."""
     head_type = {"UInt32": "<u4", "UInt64": "<u8"}[header]

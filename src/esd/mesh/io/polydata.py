@@ -70,7 +70,7 @@ def read_legacy(path: Path) -> Surface:
     version = float(start.split()[-1])
     is_text = rest.split(b"\n", 2)[1].strip().upper() == b"ASCII"
     file = _Legacy(content, is_text)
-    while file.line()[:1] != ["DATASET"]:
+    while (words := file.line()) and words[0].upper() != "DATASET":
         pass
     vertices: npt.NDArray[Any] = np.zeros((0, 3))
     polygons, strips = _NONE, _NONE
