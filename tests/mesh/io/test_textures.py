@@ -33,16 +33,56 @@ def test_images_of_impossible_names_are_missing(tmp_path):
             read_texture(tmp_path / "m.obj")
 
 
-def test_several_images_are_refused(tmp_path):
+def test_several_images_become_one(tmp_path):
     (tmp_path / "my look.mtl").write_text("newmtl a\nmap_Kd a.png\nnewmtl b\nmap_Kd b.png\n")
+    Image.new("RGB", (4, 4), (255, 0, 0)).save(tmp_path / "a.png")
+    Image.new("L", (2, 8), 100).save(tmp_path / "b.png")
+    (tmp_path / "m.obj").write_text(OBJ + "usemtl b\n" + FACE + "usemtl a\n" + FACE)
+    texture = read_texture(tmp_path / "m.obj")
+    assert texture.image.size == (8, 8)
+    assert texture.image.getpixel((1, 1)) == (255, 0, 0, 255)  # of the second face
+    assert texture.image.getpixel((6, 6)) == (100, 100, 100, 255)
+    np.testing.assert_array_equal(texture.coordinates[1], [[0, 0], [0.5, 0], [0, 1]])
+    np.testing.assert_array_equal(texture.coordinates[0], [[0.5, 0], [1, 0], [0.5, 1]])
+    (tmp_path / "m.obj").write_text(
+        OBJ.replace("vt 1 0", "vt 3 0") + "usemtl b\n" + FACE + "usemtl a\n" + FACE
+    )
+    with pytest.raises(InputError, match="several images that are repeated over the surface"):
+        read_texture(tmp_path / "m.obj")
+
+
+def test_several_images_of_glb_become_one(tmp_path):
+    import trimesh
+
+    mesh = Mesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+
+    def part(image=None):
+        visual = image and trimesh.visual.TextureVisuals(uv=mesh.vertices[:, :2], image=image)
+        return trimesh.Trimesh(mesh.vertices, mesh.faces, process=False, visual=visual)
+
+    images = [Image.new("RGB", (4, 4), colour) for colour in ((255, 0, 0), (0, 0, 255))]
+    scene = trimesh.Scene([part(image) for image in images])
+    scene.export(tmp_path / "m.glb")
+    texture = read_texture(tmp_path / "m.glb")
+    seen = [
+        texture.image.getpixel((int(7 * u), 2))[:3] for u in texture.coordinates.mean(axis=1)[:, 0]
+    ]
+    assert seen == [(255, 0, 0), (0, 0, 255)]
+    trimesh.Scene([part(images[0]), part()]).export(tmp_path / "m.glb")
+    with pytest.raises(InputError, match="has an image on some of its faces only"):
+        read_texture(tmp_path / "m.glb")
+
+
+def test_faces_without_an_image_are_refused(tmp_path):
+    (tmp_path / "my look.mtl").write_text("newmtl a\nmap_Kd a.png\nnewmtl b\nKd 1 1 1\n")
     (tmp_path / "m.obj").write_text(OBJ + "usemtl a\n" + FACE + "usemtl b\n" + FACE)
-    with pytest.raises(InputError, match=r"several images \('a.png', 'b.png'\)"):
+    with pytest.raises(InputError, match="no image at some faces: their material names none"):
         read_texture(tmp_path / "m.obj")
     (tmp_path / "m.obj").write_text(OBJ + FACE + "usemtl a\n" + FACE)
     with pytest.raises(InputError, match="faces without a material"):
         read_texture(tmp_path / "m.obj")
     (tmp_path / "m.obj").write_text(OBJ + "usemtl c\n" + FACE)
-    with pytest.raises(InputError, match="its material names none"):
+    with pytest.raises(InputError, match="their material names none"):
         read_texture(tmp_path / "m.obj")
 
 

@@ -6,11 +6,11 @@ import io
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
-from esd.common import FloatArray, InputError, install_hint, is_file, whole_file
+from esd.common import FloatArray, InputError, IntArray, install_hint, is_file, whole_file
 from esd.mesh.io.gltf import gltf_image, read_gltf
 from esd.mesh.io.meshes import read_mesh
 from esd.mesh.io.obj import ObjFile, read_obj
@@ -19,6 +19,8 @@ from esd.mesh.mesh import Mesh
 TEXTURE_FORMATS = (".obj", ".glb")
 """Suffixes of the files of meshes with a texture."""
 
+_WIDEST, _HIGHEST = 2**14, 2**13  # pixels of an image that is put together of several
+_OUTSIDE = 0.01  # of an image, by which coordinates may be off it through rounding
 _OPTIONS = {"-blendu": 1, "-blendv": 1, "-bm": 1, "-boost": 1, "-cc": 1, "-clamp": 1}
 _OPTIONS |= {"-imfchan": 1, "-mm": 2, "-texres": 1, "-type": 1, "-o": 3, "-s": 3, "-t": 3}
 
@@ -43,24 +45,32 @@ def read_texture(path: str | os.PathLike[str]) -> Texture:
     """The texture of a mesh file, its faces in the order of `read_mesh`.
 
     An OBJ file names its image in the material file that it names; a GLB file holds it. Images of
-    other colours than red, green and blue, such as CMYK, are converted.
+    other colours than red, green and blue, such as CMYK, are converted. Several images are put side
+    by side into one.
 
     Raises
     ------
     InputError
-        If the file is of another format, has no texture coordinates or no image, or several
-        images, or Pillow is not installed.
+        If the file is of another format, has no texture coordinates or no image at some faces,
+        or several images that are repeated over the surface, or Pillow is not installed.
     """
     path = Path(path)
     if path.suffix.lower() not in TEXTURE_FORMATS:
         raise InputError(f"'{path}': textures are read from {', '.join(TEXTURE_FORMATS)}.")
     read_mesh(path)  # says what is wrong with the mesh, if anything
-    coordinates, image, name = (
+    coordinates, contents, number = (
         _obj_texture(path) if path.suffix.lower() == ".obj" else _glb_texture(path)
     )
     if np.isnan(coordinates).any():
         raise InputError(f"'{path}' has no texture coordinates at some corners of its faces.")
-    return Texture(coordinates, _image(image, name))
+    images = [_image(*content) for content in contents]
+    if len(images) == 1:
+        return Texture(coordinates, images[0])
+    if coordinates.min() < -_OUTSIDE or coordinates.max() > 1 + _OUTSIDE:
+        raise InputError(
+            f"'{path}' has several images that are repeated over the surface; bake them into one."
+        )
+    return _side_by_side(coordinates, images, number)
 
 
 def write_textured(mesh: Mesh, texture: Texture, path: str | os.PathLike[str]) -> None:
@@ -120,8 +130,25 @@ def _image(content: bytes, name: str) -> Any:
         raise InputError(f"'{name}' cannot be read as an image: {error}.") from error
 
 
-def _obj_texture(path: Path) -> tuple[FloatArray, bytes, str]:
-    """Coordinates (m, 3, 2), the content of the image, and its name."""
+def _side_by_side(coordinates: FloatArray, images: list[Any], number: IntArray) -> Texture:
+    """One texture of several images, of which `number` says which is on each face, (m,)."""
+    from PIL import Image
+
+    width = min(max(image.width for image in images), _WIDEST // len(images))
+    height = min(max(image.height for image in images), _HIGHEST)
+    whole = Image.new("RGBA", (width * len(images), height))
+    for place, image in enumerate(images):
+        whole.paste(image.convert("RGBA").resize((width, height)), (place * width, 0))
+    moved = np.clip(coordinates, 0, 1)
+    moved[:, :, 0] = (moved[:, :, 0] + number[:, None]) / len(images)
+    return Texture(moved, whole)
+
+
+_Found: TypeAlias = tuple[FloatArray, list[tuple[bytes, str]], IntArray]
+"""Coordinates (m, 3, 2), content and name of each image, and which is on each face, (m,)."""
+
+
+def _obj_texture(path: Path) -> _Found:
     content = read_obj(path)
     index = content.texture_faces
     if index.min() < 0 or index.max() >= len(content.coordinates):
@@ -129,23 +156,23 @@ def _obj_texture(path: Path) -> tuple[FloatArray, bytes, str]:
     images = _material_images(content, path)
     if not images:
         raise InputError(f"'{path}' has no image: its material names none.")
-    used = {content.materials[number] for number in np.unique(content.material) if number >= 0}
-    # a file without usemtl has its one material everywhere
-    names = {images.get(name) for name in used} if used else set(images.values())
-    if len(names) != 1:
-        listed = ", ".join(sorted(f"'{name.name}'" if name else "none" for name in names))
-        raise InputError(
-            f"'{path}' has several images ({listed}); expected one for all faces. Bake them "
-            "into one image."
-        )
-    if used and (content.material < 0).any():
+    numbers = np.unique(content.material)
+    if len(numbers) > 1 and numbers[0] < 0:
         raise InputError(f"'{path}' has faces without a material; give them one.")
-    (image,) = names
-    if image is None:
-        raise InputError(f"'{path}' has no image: its material names none.")
-    if not is_file(image):
-        raise InputError(f"'{path}' has no image: '{image}' is missing.")
-    return content.coordinates[index], image.read_bytes(), str(image)
+    # a file without usemtl has its one material everywhere
+    used = [images.get(content.materials[k]) if k >= 0 else None for k in numbers]
+    if numbers[0] < 0 and len(set(images.values())) == 1:
+        used = [next(iter(images.values()))]
+    found = sorted({image for image in used if image})
+    if None in used:
+        raise InputError(f"'{path}' has no image at some faces: their material names none.")
+    for image in found:
+        if not is_file(image):
+            raise InputError(f"'{path}' has no image: '{image}' is missing.")
+    place = np.array([found.index(image) for image in used if image])
+    number = place[np.searchsorted(numbers, content.material)]
+    contents = [(image.read_bytes(), str(image)) for image in found]
+    return content.coordinates[index], contents, number
 
 
 def _material_images(content: ObjFile, path: Path) -> dict[str, Path]:
@@ -174,23 +201,22 @@ def _beside(file: Path, name: str) -> Path:
     return found if is_file(found) else file.parent / name.replace("\\", "/")
 
 
-def _glb_texture(path: Path) -> tuple[FloatArray, bytes, str]:
-    """Coordinates (m, 3, 2), the content of the image, and its name."""
+def _glb_texture(path: Path) -> _Found:
     scene = read_gltf(path)
-    sources = {_base_texture(scene.document, number) for number in np.unique(scene.material)}
-    if sources == {None}:
+    numbers = np.unique(scene.material)
+    sources = [_base_texture(scene.document, number) for number in numbers]
+    if set(sources) == {None}:
         raise InputError(f"'{path}' has no texture.")
-    if len(sources) > 1:
-        raise InputError(
-            f"'{path}' has several images, or faces without one; expected one for all faces. "
-            "Bake them into one image."
-        )
-    (source,) = sources
+    found = sorted({source for source in sources if source is not None})
+    if None in sources:
+        raise InputError(f"'{path}' has an image on some of its faces only; give all one.")
     try:
-        content = gltf_image(scene, source or 0, path)
+        contents = [(gltf_image(scene, source, path), str(path)) for source in found]
     except (InputError, KeyError, IndexError, TypeError) as error:
         raise InputError(f"'{path}' has an image that cannot be read: {error}") from error
-    return scene.coordinates[scene.faces], content, str(path)
+    place = np.array([found.index(source) for source in sources if source is not None])
+    number = place[np.searchsorted(numbers, scene.material)]
+    return scene.coordinates[scene.faces], contents, number
 
 
 def _base_texture(document: dict[str, Any], material: int) -> int | None:
