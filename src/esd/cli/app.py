@@ -24,6 +24,7 @@ from esd.cli.output import HELP_NAMES, HelpfulCommand, telling
 from esd.cli.precompute import precompute
 from esd.cli.reproduce import reproduce
 from esd.cli.spectrum import spectrum
+from esd.cli.studio import studio
 from esd.cli.train import train
 from esd.cli.transfer import transfer
 from esd.cli.view import view
@@ -51,6 +52,7 @@ _EXAMPLES: dict[Callable[..., None], tuple[str, ...]] = {
         "esd view a.ply b.ply map.csv --open",
         "esd view a.ply b.ply map.csv --points a.vts b.vts -o page.html",
     ),
+    studio: ("esd studio", "esd studio a.ply b.ply", "esd studio --project studio"),
     transfer: (
         "esd transfer a.ply b.ply map.csv --labels parts.txt -o b-parts.txt",
         "esd transfer a.obj b.ply map.csv --texture -o b-textured.obj",
@@ -110,6 +112,7 @@ def main() -> None:
         _fail(str(error))
     except ModuleNotFoundError as error:
         extras = {"torch": "train", "matplotlib": "viz", "PIL": "viz", "distributed": "cluster"}
+        extras |= {"starlette": "studio", "uvicorn": "studio"}
         extra = extras.get(error.name or "")
         if extra is None:
             _fail_unexpectedly(error)

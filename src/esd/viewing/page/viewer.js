@@ -96,6 +96,7 @@ export function createViewer(stage, on = {}) {
     const field = fieldOf(state.mode);
     for (const shape of [source, target]) {
       const { color } = shape.mesh.geometry.attributes;
+      if (!color) continue; // nothing is loaded yet
       for (let i = 0; i < color.count; i++) color.setXYZ(i, ...(field ? valueColour(field, shape, i) : placeColour(shape, i)));
       for (const i of marked[shape.name]) if (i < color.count) color.setXYZ(i, ...FAULT);
       color.needsUpdate = true;
@@ -195,11 +196,19 @@ export function createViewer(stage, on = {}) {
   // Look at a source vertex from outside, with its image at the same place.
   function fly(i) {
     if (state.morph) setMorph(0);
-    const point = shapes.vertexAt(source, i);
-    const outward = shapes.normalAt(source, i);
     const t = state.hasMap ? arrays.map[i] : -1;
     target.mesh.position.set(0, 0, 0);
-    if (t >= 0) target.mesh.position.subVectors(point, shapes.vertexAt(target, t));
+    if (t >= 0) target.mesh.position.subVectors(shapes.vertexAt(source, i), shapes.vertexAt(target, t));
+    state.kept = true;
+    flyTo("source", i);
+  }
+
+  // Look at a vertex of a shape from outside.
+  function flyTo(side, i) {
+    const shape = side === "source" ? source : target;
+    if (side === "target") target.mesh.position.set(0, 0, 0);
+    const point = shapes.vertexAt(shape, i);
+    const outward = shapes.normalAt(shape, i);
     const from = { at: controls.target.clone(), eye: camera.position.clone(), up: camera.up.clone() };
     const to = { at: point, eye: point.clone().addScaledVector(outward, 0.45 * distance()), up: new THREE.Vector3(...UP[state.up]) };
     if (Math.abs(to.up.dot(outward)) > 0.95) to.up.set(...EYE[state.up]);
@@ -208,8 +217,7 @@ export function createViewer(stage, on = {}) {
       camera.position.lerpVectors(from.eye, to.eye, share);
       camera.up.lerpVectors(from.up, to.up, share).normalize();
     });
-    state.kept = true;
-    show(pickedAt(source, i));
+    show(pickedAt(shape, i));
   }
 
   function animate(duration, step) {
@@ -486,7 +494,7 @@ export function createViewer(stage, on = {}) {
     state, load, setMode, setScale, setPattern, setLines, setMorph, playMorph, setUp, setAligned, setPins, mark,
     resetView: () => { state.up = meta.up; resetView(); changed(); },
     drop: () => { state.kept = false; show(null); },
-    turn, nearer, fly, pick, pinAt, picture, describe, valueText, draw, lineLimit,
+    turn, nearer, fly, flyTo, pick, pinAt, picture, describe, valueText, draw, lineLimit,
     scene: () => ({ meta, arrays }),
     screenOf: (side, vertex) => {
       const shape = side === "source" ? source : target;

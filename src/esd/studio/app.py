@@ -1,0 +1,511 @@
+"""The studio's server: a page, and what the page asks for."""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import hashlib
+import json
+import tempfile
+import time
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from dataclasses import asdict
+from importlib import resources
+from pathlib import Path
+from string import Template
+from typing import Any
+from urllib.parse import quote
+
+import numpy as np
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import FileResponse, HTMLResponse, JSONResponse, Response
+from starlette.routing import Route
+from starlette.types import ASGIApp
+
+from esd.common import InputError
+from esd.learning.model import ALIASES, bundled_models
+from esd.matching.correspondence import MAP_SUFFIXES, load_map, save_map
+from esd.mesh.io.landmarks import LANDMARK_FORMATS, Landmarks, read_landmarks, write_landmarks
+from esd.mesh.io.meshes import WRITTEN_FORMATS, write_mesh
+from esd.mesh.mesh import Mesh
+from esd.mesh.repair.repair import usable_part
+from esd.studio.guard import Guard
+from esd.studio.jobs import Job, Jobs
+from esd.studio.project import Project, ProjectShape, check_mesh_name
+from esd.studio.worker import Examine, Match, Repair
+from esd.viewing.page import MODULES, part, view
+
+LARGEST_MESH = 512 * 2**20
+LARGEST_OTHER = 4 * 2**20
+"""Bytes of what is sent to the studio."""
+
+MIRRORS = ("auto", "yes", "no")
+DEFAULTS = {"model": "default", "mirror": "auto"}
+"""What is chosen in a new project."""
+
+_OWN = ("studio.js", "landmarks.js", "gallery.js", "server.js", "studio.css")
+_KINDS = {".js": "text/javascript", ".css": "text/css"}
+_PATIENCE = 20.0  # seconds after which an unchanged state is sent all the same
+_GLANCE = 0.05  # seconds between two looks at the state
+
+
+class Studio:
+    """A project with its jobs, and the answers to the page's requests.
+
+    Parameters
+    ----------
+    project
+        What is shown.
+    """
+
+    def __init__(self, project: Project) -> None:
+        self.project = project
+        self.jobs = Jobs(self._settings()["model"], self._ended)
+        for shape in project.shapes():
+            if shape.vertices is None:  # the studio was closed before it was examined
+                self._examine(shape)
+
+    def _settings(self) -> dict[str, str]:
+        return {**DEFAULTS, **self.project.settings()}
+
+    def _examine(self, shape: ProjectShape) -> Job:
+        task = Examine(
+            self.project.path(shape),
+            shape.name,
+            self.project.view_path(shape.number),
+            self._settings()["model"],
+        )
+        return self.jobs.submit(f"Examine {shape.name}", task)
+
+    def add_file(self, path: Path, name: str) -> ProjectShape:
+        """Add the shape in a file, which is moved, and have it examined."""
+        shape = self.project.add(name, path)
+        self._examine(shape)
+        return shape
+
+    def match(self, source: int, target: int, *, landmarks: bool) -> Job:
+        """Have a pair matched with the model and options that are chosen.
+
+        Raises
+        ------
+        InputError
+            If there are no such shapes, or fewer than three landmarks that both have.
+        """
+        shapes = self.project.shape(source), self.project.shape(target)
+        if source == target:
+            raise InputError("Choose two different shapes.")
+        if landmarks and len(set(shapes[0].names) & set(shapes[1].names)) < 3:
+            raise InputError("Three landmarks or more must be on both shapes.")
+        chosen = self._settings()
+        task = Match(
+            self.project.path(shapes[0]),
+            self.project.path(shapes[1]),
+            (shapes[0].name, shapes[1].name),
+            self.project.map_path(source, target),
+            self.project.map_path(source, target, ".json"),
+            self.project.view_path(source, target),
+            chosen["model"],
+            chosen["mirror"],
+            (shapes[0].landmarks(), shapes[1].landmarks()) if landmarks else None,
+        )
+        return self.jobs.submit(f"Match {shapes[0].name} to {shapes[1].name}", task)
+
+    def _ended(self, job: Job, result: dict[str, Any] | None) -> None:
+        """Keep what a job found out; a shape that cannot be used is removed."""
+        task = job.task
+        if isinstance(task, Examine):
+            for shape in self.project.shapes():
+                if self.project.path(shape) == task.path and shape.vertices is None:
+                    if result is not None:
+                        self.project.examined(shape.number, **result)
+                    else:
+                        self.project.remove(shape.number)
+        elif isinstance(task, Repair) and result is not None:
+            name = next(
+                (s.name for s in self.project.shapes() if self.project.path(s) == task.path), ""
+            )
+            stem = name.split(".")[0] or "mesh"
+            self.add_file(task.output, f"{stem}-repaired{task.output.suffix}")
+        self.jobs.touch()
+
+    def state(self) -> dict[str, Any]:
+        """All that the page shows but the shapes and maps themselves."""
+        return {
+            "version": self.jobs.version,
+            "folder": str(self.project.folder.resolve()),
+            "shapes": [
+                {key: value for key, value in asdict(shape).items() if key != "file"}
+                for shape in self.project.shapes()
+            ],
+            "maps": self.project.maps(),
+            "jobs": [
+                {key: getattr(job, key) for key in ("number", "title", "state", "stage", "error")}
+                for job in self.jobs.list()
+            ],
+            "settings": self._settings(),
+            "models": [*ALIASES, *bundled_models()],
+        }
+
+    # what the page asks for
+
+    async def get_state(self, request: Request) -> Response:
+        """All that the page shows, at once or when it is no longer what the page knows."""
+        after = request.query_params.get("after")
+        end = time.monotonic() + _PATIENCE
+        while after == str(self.jobs.version) and time.monotonic() < end:
+            await asyncio.sleep(_GLANCE)
+        return JSONResponse(await run_in_threadpool(self.state))
+
+    async def add_shape(self, request: Request) -> Response:
+        """Take a mesh file in."""
+        name = check_mesh_name(request.query_params.get("name", ""))
+        path = await _received(request, self.project.folder, LARGEST_MESH)
+        try:
+            shape = await run_in_threadpool(self.add_file, path, name)
+        finally:
+            path.unlink(missing_ok=True)
+        return JSONResponse({"number": shape.number}, 201)
+
+    async def remove_shape(self, request: Request) -> Response:
+        """Remove a shape with its maps."""
+        await run_in_threadpool(self.project.remove, request.path_params["number"])
+        return self._changed()
+
+    async def repair_shape(self, request: Request) -> Response:
+        """Have a repaired copy of a shape added."""
+        shape = self.project.shape(request.path_params["number"])
+        output = self.project.folder / "meshes" / f"repaired-{shape.number}.ply"
+        job = self.jobs.submit(f"Repair {shape.name}", Repair(self.project.path(shape), output))
+        return JSONResponse({"job": job.number}, 202)
+
+    async def get_shape(self, request: Request) -> Response:
+        """What the viewer shows of a shape."""
+        return _file(self.project.view_path(request.path_params["number"]))
+
+    async def set_landmarks(self, request: Request) -> Response:
+        """Replace the landmarks of a shape."""
+        given = await _json(request)
+        names, places = given.get("names"), given.get("places")
+        if not isinstance(names, list) or not isinstance(places, list):
+            raise InputError("Expected lists of names and of places.")
+        number = request.path_params["number"]
+        await run_in_threadpool(self.project.set_landmarks, number, names, places)
+        return self._changed()
+
+    async def load_landmarks(self, request: Request) -> Response:
+        """Replace the landmarks of a shape by those in a file."""
+        suffix = _suffix(request.query_params.get("name", ""), LANDMARK_FORMATS)
+        shape = self.project.shape(request.path_params["number"])
+        content = await _body(request, LARGEST_OTHER)
+        read = await run_in_threadpool(self._read_landmarks, shape, suffix, content)
+        kept = [(n, int(v)) for n, v in zip(read.names, read.vertices, strict=True) if v >= 0]
+        names, places = [list(column) for column in zip(*kept, strict=True)] if kept else ([], [])
+        await run_in_threadpool(self.project.set_landmarks, shape.number, names, places)
+        return self._changed()
+
+    def _read_landmarks(self, shape: ProjectShape, suffix: str, content: bytes) -> Landmarks:
+        with tempfile.TemporaryDirectory(prefix="esd-") as folder:
+            path = Path(folder) / f"landmarks{suffix}"
+            path.write_bytes(content)
+            try:
+                return read_landmarks(path, self._mesh(shape))
+            except InputError as error:
+                raise InputError(str(error).replace(str(path), path.name)) from error
+
+    async def save_landmarks(self, request: Request) -> Response:
+        """The landmarks of a shape as a file."""
+        suffix = _suffix(request.query_params.get("format", ".csv"), LANDMARK_FORMATS)
+        shape = self.project.shape(request.path_params["number"])
+        stem = shape.name.split(".")[0]
+        return await self._written(
+            f"{stem}-landmarks{suffix}",
+            lambda path: write_landmarks(shape.landmarks(), self._mesh(shape), path),
+        )
+
+    async def carry_landmarks(self, request: Request) -> Response:
+        """Give the target the landmarks of the source that it lacks, along their map."""
+        source, target = self._pair(request)
+        await run_in_threadpool(self._carry, source, target)
+        return self._changed()
+
+    def _carry(self, source: ProjectShape, target: ProjectShape) -> None:
+        index = load_map(self.project.map_path(source.number, target.number)).target_index
+        places = dict(zip(target.names, target.places, strict=True))
+        for name, place in zip(source.names, source.places, strict=True):
+            if index[place] >= 0:
+                places.setdefault(name, int(index[place]))
+        self.project.set_landmarks(target.number, list(places), list(places.values()))
+
+    async def start_match(self, request: Request) -> Response:
+        """Have a pair matched."""
+        given = await _json(request)
+        source, target = given.get("source"), given.get("target")
+        if not isinstance(source, int) or not isinstance(target, int):
+            raise InputError("Expected the numbers of a source and a target.")
+        job = self.match(source, target, landmarks=bool(given.get("landmarks")))
+        return JSONResponse({"job": job.number}, 202)
+
+    async def cancel_job(self, request: Request) -> Response:
+        """Cancel a job."""
+        self.jobs.cancel(request.path_params["number"])
+        return self._changed()
+
+    async def set_settings(self, request: Request) -> Response:
+        """Keep the model and the options that are chosen."""
+        given = {**DEFAULTS, **await _json(request)}
+        models = (*ALIASES, *bundled_models())
+        if given["model"] not in models or given["mirror"] not in MIRRORS:
+            raise InputError(f"Expected a model among {', '.join(models)}; mirror auto, yes or no.")
+        chosen = {key: str(given[key]) for key in DEFAULTS}
+        await run_in_threadpool(self.project.set_settings, chosen)
+        return self._changed()
+
+    async def get_map(self, request: Request) -> Response:
+        """What the viewer shows of a map."""
+        source, target = self._pair(request)
+        return _file(self.project.view_path(source.number, target.number))
+
+    async def export(self, request: Request) -> Response:
+        """A map, the source in the shape of the target, or a page, as a file."""
+        source, target = self._pair(request)
+        kind = request.path_params["kind"]
+        wanted = request.query_params.get("format", "")
+        stem = f"{source.name.split('.')[0]}-{target.name.split('.')[0]}"
+        if kind == "map":
+            suffix = _suffix(wanted or ".csv", MAP_SUFFIXES)
+            return await self._written(
+                stem + suffix, lambda path: save_map(self._map(source, target), path)
+            )
+        if kind == "mesh":
+            suffix = _suffix(wanted or ".ply", WRITTEN_FORMATS)
+            return await self._written(
+                f"{stem}{suffix}", lambda path: write_mesh(self._image(source, target), path)
+            )
+        return await self._written(
+            f"{stem}.html", lambda path: self._write_page(source, target, path)
+        )
+
+    def _map(self, source: ProjectShape, target: ProjectShape) -> Any:
+        return load_map(self.project.map_path(source.number, target.number))
+
+    def _mesh(self, shape: ProjectShape) -> Mesh:
+        return usable_part(self.project.path(shape))
+
+    def _image(self, source: ProjectShape, target: ProjectShape) -> Mesh:
+        """The source's triangles where the map puts them on the target.
+
+        Triangles with a corner that has no counterpart are left out.
+        """
+        index, mesh = self._map(source, target).target_index, self._mesh(source)
+        whole = (index[mesh.faces] >= 0).all(axis=1)
+        return Mesh(self._mesh(target).vertices[np.maximum(index, 0)], mesh.faces[whole])
+
+    def _write_page(self, source: ProjectShape, target: ProjectShape, path: Path) -> None:
+        figures = next(
+            figures
+            for figures in self.project.maps()
+            if (figures["source"], figures["target"]) == (source.number, target.number)
+        )
+        view(
+            self._mesh(source),
+            self._mesh(target),
+            self._map(source, target),
+            source_name=source.name,
+            target_name=target.name,
+            model=figures["model"],
+        ).save(path)
+
+    def _pair(self, request: Request) -> tuple[ProjectShape, ProjectShape]:
+        source, target = (
+            self.project.shape(request.path_params[key]) for key in ("source", "target")
+        )
+        if not self.project.map_path(source.number, target.number).is_file():
+            raise HTTPException(404, "These shapes have not been matched yet.")
+        return source, target
+
+    async def _written(self, name: str, write: Callable[[Path], None]) -> Response:
+        """What a function writes to a file, to be saved under a name."""
+
+        def content() -> bytes:
+            with tempfile.TemporaryDirectory(prefix="esd-") as folder:
+                path = Path(folder) / f"file{_ending(name)}"
+                write(path)
+                return path.read_bytes()
+
+        disposition = f"attachment; filename*=UTF-8''{quote(name, safe='')}"
+        return Response(
+            await run_in_threadpool(content),
+            media_type="application/octet-stream",
+            headers={"Content-Disposition": disposition},
+        )
+
+    def _changed(self) -> Response:
+        self.jobs.touch()
+        return JSONResponse({"version": self.jobs.version})
+
+
+def create_app(project: Project, *, token: str, port: int) -> ASGIApp:
+    """The studio as an application that a server runs; its page is at `/TOKEN/`.
+
+    Parameters
+    ----------
+    project
+        What is shown, and where all that happens is kept.
+    token
+        Without which nothing is answered.
+    port
+        Where the server listens; requests by other names are refused.
+    """
+    studio = Studio(project)
+    page, policy = _page()
+
+    async def get_page(request: Request) -> Response:
+        return HTMLResponse(page)
+
+    pair = "/maps/{source:int}/{target:int}"
+    routes = [
+        Route("/", get_page),
+        Route("/static/{name}", _static),
+        Route("/state", studio.get_state),
+        Route("/settings", studio.set_settings, methods=["PUT"]),
+        Route("/shapes", studio.add_shape, methods=["POST"]),
+        Route("/shapes/{number:int}", studio.remove_shape, methods=["DELETE"]),
+        Route("/shapes/{number:int}/view", studio.get_shape),
+        Route("/shapes/{number:int}/repair", studio.repair_shape, methods=["POST"]),
+        Route("/shapes/{number:int}/landmarks", studio.save_landmarks),
+        Route("/shapes/{number:int}/landmarks", studio.set_landmarks, methods=["PUT"]),
+        Route("/shapes/{number:int}/landmarks", studio.load_landmarks, methods=["POST"]),
+        Route("/matches", studio.start_match, methods=["POST"]),
+        Route(f"{pair}/view", studio.get_map),
+        Route(f"{pair}/landmarks", studio.carry_landmarks, methods=["POST"]),
+        Route(pair + "/{kind:str}", studio.export),
+        Route("/jobs/{number:int}", studio.cancel_job, methods=["DELETE"]),
+    ]
+
+    @asynccontextmanager
+    async def lifespan(_: Starlette) -> AsyncIterator[None]:
+        yield
+        await run_in_threadpool(studio.jobs.close)
+
+    app = Starlette(
+        routes=routes,
+        lifespan=lifespan,
+        exception_handlers={InputError: _refused, HTTPException: _failed, OSError: _unwritten},  # type: ignore[dict-item]
+    )
+    app.state.studio = studio
+    return Guard(app, token=token, port=port, policy=policy)
+
+
+def _page() -> tuple[str, str]:
+    """The page, and a content security policy under which it works and nothing else does."""
+    addresses = {f"esd/{name}": f"./static/{name}" for name in (*MODULES, *_OWN)}
+    modules = json.dumps({"imports": {k: v for k, v in addresses.items() if k.endswith(".js")}})
+    page = Template(_own_part("studio.html")).substitute(
+        modules=modules, stage=part("stage.html"), panel=part("panel.html")
+    )
+    digest = base64.b64encode(hashlib.sha256(modules.encode()).digest()).decode()
+    policy = (
+        f"default-src 'none'; script-src 'self' 'sha256-{digest}'; style-src 'self'; "
+        "img-src 'self' blob: data:; connect-src 'self'; base-uri 'none'; form-action 'self'; "
+        "frame-ancestors 'none'"
+    )
+    return page, policy
+
+
+def _own_part(name: str) -> str:
+    return (resources.files("esd.studio") / "page" / name).read_text(encoding="utf-8")
+
+
+async def _static(request: Request) -> Response:
+    name = request.path_params["name"]
+    if name in (*MODULES, "viewer.css", "three.min.js"):
+        text = part(name)
+    elif name in _OWN:
+        text = _own_part(name)
+    else:
+        raise HTTPException(404, "There is no such file.")
+    return Response(text, media_type=_KINDS[_ending(name)])
+
+
+async def _refused(_: Request, error: Exception) -> Response:
+    return JSONResponse({"error": " ".join(str(error).split())}, 400)
+
+
+async def _failed(_: Request, error: HTTPException) -> Response:
+    return JSONResponse({"error": error.detail}, error.status_code)
+
+
+async def _unwritten(_: Request, error: OSError) -> Response:
+    return JSONResponse({"error": f"It cannot be written: {error.strerror or error}."}, 507)
+
+
+def _ending(name: str) -> str:
+    """The end of a name from its last dot on, with that before `.json`."""
+    for suffix in LANDMARK_FORMATS:
+        if name.endswith(suffix):
+            return suffix
+    return Path(name).suffix
+
+
+def _suffix(name: str, known: Any) -> str:
+    for suffix in known:
+        if name.lower().endswith(suffix):
+            return str(suffix)
+    raise InputError(f"Expected a name that ends in one of {', '.join(known)}.")
+
+
+def _file(path: Path) -> Response:
+    if not path.is_file():
+        raise HTTPException(404, "There is nothing to show yet.")
+    return FileResponse(path, media_type="application/octet-stream")
+
+
+async def _body(request: Request, limit: int) -> bytes:
+    content = bytearray()
+    async for chunk in _chunks(request, limit):
+        content += chunk
+    return bytes(content)
+
+
+async def _json(request: Request) -> dict[str, Any]:
+    try:
+        given = json.loads(await _body(request, LARGEST_OTHER))
+    except (ValueError, RecursionError) as error:
+        raise InputError("Expected JSON.") from error
+    if not isinstance(given, dict):
+        raise InputError("Expected a JSON object.")
+    return given
+
+
+async def _received(request: Request, folder: Path, limit: int) -> Path:
+    """A temporary file in a folder with what a request brings; no more than it may."""
+    handle = tempfile.NamedTemporaryFile(dir=folder, prefix=".esd-", delete=False)  # noqa: SIM115
+    path = Path(handle.name)
+    try:
+        with handle:
+            async for chunk in _chunks(request, limit):
+                handle.write(chunk)
+    except BaseException:
+        path.unlink(missing_ok=True)
+        raise
+    return path
+
+
+async def _chunks(request: Request, limit: int) -> AsyncIterator[bytes]:
+    too_large = HTTPException(413, f"It is larger than {limit // 2**20} MiB.")
+    announced = request.headers.get("content-length", "0")
+    if not announced.isdigit() or int(announced) > limit:
+        raise too_large
+    size = 0
+    try:
+        async for chunk in request.stream():
+            size += len(chunk)
+            if size > limit:
+                raise too_large
+            yield chunk
+    except ClientDisconnect as error:
+        raise HTTPException(400, "The upload was broken off.") from error

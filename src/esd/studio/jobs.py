@@ -1,0 +1,204 @@
+"""A queue of tasks for one worker process: progress, cancelling, and what became of each."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from multiprocessing import connection, get_context
+from typing import Any, Literal
+
+from esd.common import InputError
+from esd.studio.worker import Task, work
+
+_MOST_WAITING = 20_000
+_MOST_KEPT = 50  # jobs that ended and are still listed
+_DIED = "The process that computed it died, perhaps for lack of memory."
+
+State = Literal["waiting", "running", "done", "failed", "cancelled"]
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """A task in the queue.
+
+    Parameters
+    ----------
+    number
+        Names it.
+    title
+        What it does, for people.
+    state, stage
+        How far it is; the stage in words.
+    error
+        Why it failed, in one line.
+    """
+
+    number: int
+    title: str
+    task: Task
+    state: State = "waiting"
+    stage: str = ""
+    error: str = ""
+
+
+class Jobs:
+    """A queue, and a process that does its tasks one after the other.
+
+    Parameters
+    ----------
+    model
+        Name of the model that is loaded at once.
+    on_end
+        Called in another thread with each job that ended, and its result if it is done.
+    """
+
+    def __init__(
+        self, model: str, on_end: Callable[[Job, dict[str, Any] | None], None] = lambda *_: None
+    ) -> None:
+        self._model = model
+        self._on_end = on_end
+        self._changed = threading.Condition()
+        self._jobs: dict[int, Job] = {}
+        self._next = 1
+        self._closed = False
+        self.version = 0
+        self._start_worker()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def _start_worker(self) -> None:
+        context = get_context("spawn")
+        self._pipe, theirs = context.Pipe()
+        self._process = context.Process(target=work, args=(theirs, self._model), daemon=True)
+        self._process.start()
+        theirs.close()
+
+    def submit(self, title: str, task: Task) -> Job:
+        """Put a task into the queue; one that waits already is not put there twice.
+
+        Raises
+        ------
+        InputError
+            If too many are waiting.
+        """
+        with self._changed:
+            waiting = [job for job in self._jobs.values() if job.state == "waiting"]
+            for job in waiting:
+                if job.task == task:
+                    return job
+            if len(waiting) >= _MOST_WAITING:
+                raise InputError("Too much is waiting to be computed; cancel some of it.")
+            job = Job(self._next, title, task)
+            self._next += 1
+            self._set(job)
+            return job
+
+    def list(self) -> tuple[Job, ...]:
+        """The jobs that wait or run, and the last of those that ended."""
+        with self._changed:
+            return tuple(self._jobs.values())
+
+    def cancel(self, number: int) -> None:
+        """Take a job from the queue, or end the process that does it.
+
+        Raises
+        ------
+        InputError
+            If there is no such job.
+        """
+        with self._changed:
+            job = self._jobs.get(number)
+            if job is None:
+                raise InputError(f"There is no job {number}.")
+            if job.state in ("waiting", "running"):
+                was_running = job.state == "running"
+                self._set(replace(job, state="cancelled", stage=""))
+                if was_running:
+                    self._process.terminate()
+                else:
+                    threading.Thread(target=self._on_end, args=(self._jobs[number], None)).start()
+
+    def close(self) -> None:
+        """End the process."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+        self._process.terminate()
+        self._process.join()
+        self._thread.join()
+
+    def touch(self) -> None:
+        """Count something else as a change."""
+        with self._changed:
+            self.version += 1
+
+    def _set(self, job: Job) -> None:
+        self._jobs[job.number] = job
+        ended = [
+            each.number for each in self._jobs.values() if each.state not in ("waiting", "running")
+        ]
+        for number in ended[:-_MOST_KEPT]:
+            del self._jobs[number]
+        self.version += 1
+        self._changed.notify_all()
+
+    def _run(self) -> None:
+        while (job := self._taken()) is not None:
+            result = self._done(job)
+            with self._changed:
+                if self._closed:
+                    return
+                ended = self._jobs[job.number]
+            self._on_end(ended, result)
+            self.touch()
+
+    def _taken(self) -> Job | None:
+        """The next job, marked as running; None once the queue is closed."""
+        with self._changed:
+            while not self._closed:
+                for job in self._jobs.values():
+                    if job.state == "waiting":
+                        job = replace(job, state="running")
+                        self._set(job)
+                        return job
+                self._changed.wait()
+        return None
+
+    def _done(self, job: Job) -> dict[str, Any] | None:
+        """Have a job done; its result, if there is one."""
+        try:
+            self._pipe.send(job.task)
+            while True:
+                connection.wait([self._pipe, self._process.sentinel])
+                if not self._pipe.poll():
+                    raise EOFError
+                kind, value = self._pipe.recv()
+                if self._is_cancelled(job):
+                    raise EOFError  # the process is about to end
+                if kind == "progress":
+                    self._update(job, state="running", stage=value)
+                elif kind == "failed":
+                    self._update(job, state="failed", stage="", error=value)
+                    return None
+                else:
+                    self._update(job, state="done", stage="")
+                    return value
+        except (EOFError, OSError):  # the process ended: it was cancelled, or died
+            self._process.join()
+            self._pipe.close()
+            self._update(job, state="failed", stage="", error=_DIED)
+            if not self._closed:
+                self._start_worker()
+            return None
+
+    def _is_cancelled(self, job: Job) -> bool:
+        with self._changed:
+            return self._jobs[job.number].state == "cancelled"
+
+    def _update(self, job: Job, **changes: Any) -> None:
+        """Change a job, unless it was cancelled."""
+        with self._changed:
+            now = self._jobs[job.number]
+            if now.state != "cancelled":
+                self._set(replace(now, **changes))

@@ -1,0 +1,268 @@
+"""What the studio computes, in a process of its own that keeps models and features at hand."""
+
+from __future__ import annotations
+
+import json
+import logging
+import signal
+import struct
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from esd.common import InputError, IntArray, whole_file
+from esd.learning.model import Model, load_model
+from esd.matching.confidence import ADVICE
+from esd.matching.correspondence import save_map
+from esd.matching.features import Features
+from esd.matching.landmarks import paired_landmarks
+from esd.matching.match import match_features, prepared, working_features
+from esd.mesh.geometry import surface_area
+from esd.mesh.io.landmarks import Landmarks
+from esd.mesh.io.meshes import read_arrays, write_mesh
+from esd.mesh.mesh import Mesh
+from esd.mesh.repair.findings import Finding
+from esd.mesh.repair.repair import Repaired, repair, usable_part
+from esd.spectral.cache import default_cache
+from esd.viewing.scene import PALETTE, Scene, default_up, of_unit_area, scene, shape_arrays
+
+_MOST_FEATURES = 12  # shapes whose features are held
+
+Reporter = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Examine:
+    """Read a mesh, look for defects, and compute its features for the matches to come."""
+
+    path: Path
+    name: str
+    view: Path
+    model: str
+
+
+@dataclass(frozen=True, slots=True)
+class Repair:
+    """Write the repaired mesh to a new file."""
+
+    path: Path
+    output: Path
+
+
+@dataclass(frozen=True, slots=True)
+class Match:
+    """Match two meshes, and write the map, its figures and what the browser shows."""
+
+    source: Path
+    target: Path
+    names: tuple[str, str]
+    map: Path
+    figures: Path
+    view: Path
+    model: str
+    mirror: str
+    landmarks: tuple[Landmarks, Landmarks] | None = None
+
+
+Task = Examine | Repair | Match
+
+
+@dataclass(slots=True)
+class _Memory:
+    """What is kept from task to task, the least recently used features first."""
+
+    models: dict[str, Model] = field(default_factory=dict)
+    shapes: OrderedDict[Path, Repaired] = field(default_factory=OrderedDict)
+    features: OrderedDict[tuple[Path, str], Features] = field(default_factory=OrderedDict)
+
+
+def work(tasks: Connection, first_model: str) -> None:
+    """Do tasks that come through a pipe, until it is closed.
+
+    Answers with pairs: `progress` and what is done now, `done` and a result, or `failed` and why
+    in one line.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends Ctrl-C to all processes
+    logging.basicConfig(format="esd: %(message)s", level=logging.ERROR)
+    memory = _Memory()
+    try:
+        _model(memory, first_model)  # before anyone waits for it
+    except InputError:
+        logging.getLogger(__name__).info("The model '%s' cannot be loaded yet.", first_model)
+    while True:
+        try:
+            task = tasks.recv()
+        except (EOFError, OSError):
+            return
+        try:
+            result = done(task, memory, lambda stage: tasks.send(("progress", stage)))
+            tasks.send(("done", result))
+        except BrokenPipeError:
+            return
+        except Exception as error:  # whatever fails is the task's own failure
+            line = " ".join(str(error).split())
+            known = isinstance(error, InputError | OSError)
+            line = line if known else f"{type(error).__name__}: {line}"
+            if isinstance(error, MemoryError):
+                line = "There is not enough memory for this."
+            tasks.send(("failed", line))
+
+
+def done(task: Task, memory: _Memory, report: Reporter) -> dict[str, Any]:
+    """The result of a task."""
+    if isinstance(task, Examine):
+        return _examined(task, memory, report)
+    if isinstance(task, Repair):
+        return _repaired(task, report)
+    return _matched(task, memory, report)
+
+
+def _examined(task: Examine, memory: _Memory, report: Reporter) -> dict[str, Any]:
+    report("Reading")
+    vertices, faces = read_arrays(task.path)
+    if len(faces) == 0:
+        raise InputError("It has no faces; the studio shows meshes. Match points by esd match.")
+    drawable = usable_part((vertices, faces))
+    if not surface_area(drawable) > 0:
+        raise InputError("Nothing can be drawn: its faces have no area.")
+    _write_view(shape_scene(drawable, task.name), task.view)
+    report("Looking for defects")
+    repaired = _shape(memory, task.path)
+    marked = [_as_dict(finding, drawable) for finding in repaired.diagnosis.findings]
+    report("Computing spectrum and descriptors")
+    _features(memory, task.path, task.model)
+    return {"vertices": len(vertices), "faces": len(faces), "findings": marked}
+
+
+def _as_dict(finding: Finding, mesh: Mesh) -> dict[str, Any]:
+    """A finding with the vertices where it is first; its number is that of a vertex or a face."""
+    marked: list[int] = []
+    if finding.first is not None:
+        is_face = finding.kind.endswith(("faces", "slivers", "intersections", "spikes"))
+        if not is_face and finding.first < len(mesh.vertices):
+            marked = [finding.first]
+        elif is_face and finding.first < len(mesh.faces):
+            marked = mesh.faces[finding.first].tolist()
+    return {
+        "what": finding.what,
+        "severity": finding.severity,
+        "effect": finding.effect,
+        "remedy": finding.remedy,
+        "always": finding.always_repaired,
+        "marked": marked,
+    }
+
+
+def _repaired(task: Repair, report: Reporter) -> dict[str, Any]:
+    report("Repairing")
+    whole = repair(task.path, everything=True).compacted()
+    if not isinstance(whole.shape, Mesh):
+        raise InputError("Points cannot be repaired as a mesh.")
+    write_mesh(whole.shape, task.output)
+    return {"vertices": len(whole.shape.vertices)}
+
+
+def _matched(task: Match, memory: _Memory, report: Reporter) -> dict[str, Any]:
+    pairs: IntArray | None = None
+    names: tuple[str, ...] = ()
+    if task.landmarks is not None:
+        names, pairs = paired_landmarks(*task.landmarks)
+    report("Loading the model")
+    model = _model(memory, task.model)
+    features = []
+    for path, name in zip((task.source, task.target), task.names, strict=True):
+        report(f"Computing spectrum and descriptors of {name}")
+        features.append(_features(memory, path, task.model))
+    report("Matching")
+    found = match_features(
+        features[0],
+        features[1],
+        model=model,
+        landmarks=pairs,
+        mirror=task.mirror,  # type: ignore[arg-type]
+    )
+    report("Writing")
+    judged = found.judgement
+    drawn = [usable_part(path) for path in (task.source, task.target)]
+    figures: dict[str, Any] = {
+        "model": model.name,
+        "mirror": task.mirror,
+        "verdict": judged.verdict if judged else None,
+        "advice": ADVICE[judged.verdict] if judged else "",
+        "expected_accuracy": judged.expected_accuracy if judged else None,
+        "coverage": found.coverage(len(drawn[1].vertices)),
+        "matched": int(found.is_matched().sum()),
+        "landmarks": list(names),
+        "contradicted": [names[i] for i in judged.contradicted] if judged else [],
+        "mirrored": judged.is_mirrored if judged else False,
+    }
+    shown = scene(
+        drawn[0],
+        drawn[1],
+        found,
+        source_name=task.names[0],
+        target_name=task.names[1],
+        model=model.name,
+    )
+    task.map.parent.mkdir(parents=True, exist_ok=True)
+    save_map(found, task.map)
+    _write_view(shown, task.view)
+    with whole_file(task.figures) as temporary:
+        temporary.write_text(json.dumps(figures, indent=1), encoding="utf-8")
+    return figures
+
+
+def _model(memory: _Memory, name: str) -> Model:
+    if name not in memory.models:
+        memory.models[name] = load_model(name)
+    return memory.models[name]
+
+
+def _shape(memory: _Memory, path: Path) -> Repaired:
+    if path not in memory.shapes:
+        memory.shapes[path] = prepared(path)
+    return _latest(memory.shapes, path)
+
+
+def _features(memory: _Memory, path: Path, model: str) -> Features:
+    key = (path, model)
+    if key not in memory.features:
+        memory.features[key] = working_features(
+            _shape(memory, path), model=_model(memory, model), cache=default_cache()
+        )
+    return _latest(memory.features, key)
+
+
+def _latest(kept: OrderedDict[Any, Any], key: Any) -> Any:
+    kept.move_to_end(key)
+    while len(kept) > _MOST_FEATURES:
+        kept.popitem(last=False)
+    return kept[key]
+
+
+def shape_scene(mesh: Mesh, name: str) -> Scene:
+    """What the viewer shows of a shape alone."""
+    mesh_of_unit_area = of_unit_area(mesh)
+    meta = {
+        "source": name,
+        "target": "",
+        "up": default_up(mesh),
+        "radius": float(np.linalg.norm(mesh_of_unit_area.vertices, axis=1).max()),
+        "fields": [],
+        **PALETTE,
+    }
+    return Scene(meta, shape_arrays("source", mesh_of_unit_area))
+
+
+def _write_view(shown: Scene, path: Path) -> None:
+    """Write a scene: the length of the JSON text, the text, and the arrays."""
+    meta, content = shown.packed()
+    head = json.dumps(meta).encode()
+    head += b" " * (-len(head) % 4)  # so that arrays are aligned
+    with whole_file(path) as temporary:
+        temporary.write_bytes(struct.pack("<I", len(head)) + head + content)

@@ -1,0 +1,213 @@
+import asyncio
+import json
+import time
+
+import pytest
+
+pytest.importorskip("starlette", reason="the extra 'studio' is not installed")
+httpx = pytest.importorskip("httpx", reason="httpx is not installed")
+
+from esd.common import InputError  # noqa: E402
+from esd.mesh.io.meshes import write_mesh  # noqa: E402
+from esd.mesh.mesh import Mesh  # noqa: E402
+from esd.mesh.shapes import subdivide, torus  # noqa: E402
+from esd.studio import app as studio_app  # noqa: E402
+from esd.studio.app import create_app  # noqa: E402
+from esd.studio.project import Project, check_mesh_name  # noqa: E402
+
+PORT = 4321
+BASE = f"http://127.0.0.1:{PORT}"
+
+
+def mesh_bytes(folder, scale=1.0) -> bytes:
+    """A closed surface without symmetry, of 2,048 vertices."""
+    mesh = subdivide(torus(32, 16))
+    x, y, z = mesh.vertices.T
+    bent = mesh.vertices * (1 + 0.3 * x + 0.2 * y * z)[:, None] * [1, 1, scale]
+    write_mesh(Mesh(bent, mesh.faces), folder / "mesh.off")
+    return (folder / "mesh.off").read_bytes()
+
+
+@pytest.fixture
+def app(tmp_path):
+    made = create_app(Project(tmp_path / "project"), token="secret", port=PORT)
+    yield made
+    made._inner.state.studio.jobs.close()
+
+
+def ask(app, *requests, headers=None):
+    """Answers to requests, all sent at once: (method, path, further arguments)."""
+
+    async def all_of():
+        transport = httpx.ASGITransport(app=app)
+        async with httpx.AsyncClient(transport=transport, base_url=BASE, headers=headers) as client:
+            sent = [client.request(method, path, **more) for method, path, more in requests]
+            return await asyncio.gather(*sent)
+
+    return asyncio.run(all_of())
+
+
+def get(app, path="/secret/", **headers):
+    return ask(app, ("GET", path, {}), headers=headers)[0]
+
+
+def wait_until_done(app, seconds=120):
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        state = get(app, "/secret/state").json()
+        if all(job["state"] not in ("waiting", "running") for job in state["jobs"]):
+            time.sleep(0.2)  # what a job found out is kept right after it
+            return get(app, "/secret/state").json()
+        time.sleep(0.1)
+    raise TimeoutError
+
+
+def test_only_its_own_page_with_the_token_is_answered(app):
+    answer = get(app)
+    assert answer.status_code == 200
+    assert "default-src 'none'" in answer.headers["content-security-policy"]
+    assert answer.headers["referrer-policy"] == "no-referrer"
+    assert get(app, "/").status_code == 404
+    assert get(app, "/guess/state").status_code == 404
+    assert get(app, origin=BASE).status_code == 200
+    assert get(app, origin="https://evil.example").status_code == 403
+    assert get(app, origin="null").status_code == 403
+    assert get(app, **{"sec-fetch-site": "cross-site"}).status_code == 403
+    # a site whose name is made to mean this machine asks by its own name
+    for host in ("evil.example", f"evil.example:{PORT}", "127.0.0.1:80", ""):
+        assert get(app, host=host).status_code == 421
+
+
+def test_names_cannot_leave_the_project(app, tmp_path):
+    content = mesh_bytes(tmp_path)
+    before = {path for path in tmp_path.rglob("*") if "project" not in path.parts}
+    names = [
+        "../../evil.off",
+        "/etc/evil.off",
+        "..\\evil.off",
+        ".off",
+        "a\0b.off",
+        "x" * 5000 + ".off",
+    ]
+    sent = [("POST", "/secret/shapes", {"params": {"name": n}, "content": content}) for n in names]
+    assert {answer.status_code for answer in ask(app, *sent)} == {201}
+    assert {path for path in tmp_path.rglob("*") if "project" not in path.parts} == before
+    listed = get(app, "/secret/state").json()["shapes"]
+    assert all("/" not in shape["name"] and len(shape["name"]) <= 100 for shape in listed)
+    for name in ("../viewer.js", "..%2f..%2fapp.py", "app.py"):
+        assert get(app, f"/secret/static/{name}").status_code == 404
+    wrong = ask(app, ("POST", "/secret/shapes", {"params": {"name": "a.exe"}, "content": b"x"}))[0]
+    assert wrong.status_code == 400
+    assert "is not a mesh file" in wrong.json()["error"]
+
+
+def test_uploads_are_bounded(app, tmp_path, monkeypatch):
+    monkeypatch.setattr(studio_app, "LARGEST_MESH", 1000)
+
+    async def endless():
+        while True:
+            yield b"x" * 100
+
+    for content in (b"x" * 2000, endless()):
+        sent = ("POST", "/secret/shapes", {"params": {"name": "a.off"}, "content": content})
+        assert ask(app, sent)[0].status_code == 413
+    assert not list((tmp_path / "project").glob(".esd-*"))
+    huge = ("PUT", "/secret/settings", {"content": b"[" * (5 * 2**20)})
+    assert ask(app, huge)[0].status_code == 413
+
+
+def test_a_hundred_requests_at_once_lose_nothing(app, tmp_path):
+    content = mesh_bytes(tmp_path)
+    sent = [
+        ("POST", "/secret/shapes", {"params": {"name": f"m{k}.off"}, "content": content})
+        for k in range(100)
+    ]
+    assert {answer.status_code for answer in ask(app, *sent)} == {201}
+    kept = json.loads((tmp_path / "project" / "project.json").read_text())["shapes"]
+    assert {shape["name"] for shape in kept} == {f"m{k}.off" for k in range(100)}
+    assert len(list((tmp_path / "project" / "meshes").iterdir())) == 100
+
+
+def test_two_meshes_are_matched_and_what_happened_is_kept(app, tmp_path):
+    for name, scale in (("a.off", 1.0), ("b.off", 1.1)):
+        sent = {"params": {"name": name}, "content": mesh_bytes(tmp_path, scale)}
+        assert ask(app, ("POST", "/secret/shapes", sent))[0].status_code == 201
+    wait_until_done(app)
+    places = [3, 500, 900, 1500]
+    for number in (1, 2):
+        body = {"names": ["<b>x</b>", "y", "z", "w"], "places": places}
+        put = ask(app, ("PUT", f"/secret/shapes/{number}/landmarks", {"json": body}))[0]
+        assert put.status_code == 200
+    ask(app, ("POST", "/secret/matches", {"json": {"source": 1, "target": 2, "landmarks": True}}))
+    (figures,) = wait_until_done(app)["maps"]
+    assert figures["landmarks"] == ["<b>x</b>", "y", "z", "w"]
+    assert get(app, "/secret/maps/1/2/map?format=.csv").text.startswith("source,target")
+    assert get(app, "/secret/maps/1/2/mesh?format=.off").text.startswith("OFF")
+    assert "<title>a.off → b.off</title>" in get(app, "/secret/maps/1/2/page").text
+    assert get(app, "/secret/shapes/1/landmarks?format=.csv").text.count("\n") == 5
+    assert get(app, "/secret/maps/2/1/view").status_code == 404
+    again = Project(tmp_path / "project")  # as after a restart
+    assert [shape.places for shape in again.shapes()] == [tuple(places)] * 2
+    assert again.maps()[0]["verdict"] == figures["verdict"]
+
+
+def test_a_failing_job_reports_its_line(app):
+    sent = {"params": {"name": "a.off"}, "content": b"OFF\n1 1 0\nnonsense"}
+    ask(app, ("POST", "/secret/shapes", sent))
+    state = wait_until_done(app)
+    (job,) = state["jobs"]
+    assert job["state"] == "failed"
+    assert job["error"]
+    assert "\n" not in job["error"]
+    assert state["shapes"] == []
+
+
+def test_a_job_is_cancelled_and_the_next_one_is_done(app, tmp_path):
+    content = mesh_bytes(tmp_path)
+    for name in ("a.off", "b.off"):
+        ask(app, ("POST", "/secret/shapes", {"params": {"name": name}, "content": content}))
+    assert ask(app, ("DELETE", "/secret/jobs/1", {}))[0].status_code == 200
+    state = wait_until_done(app)
+    assert [job["state"] for job in state["jobs"]] == ["cancelled", "done"]
+    assert [shape["name"] for shape in state["shapes"]] == ["b.off"]
+    missing = ask(app, ("DELETE", "/secret/jobs/99", {}))[0]
+    assert "There is no job 99" in missing.json()["error"]
+
+
+def test_what_cannot_be_used_is_refused(app, tmp_path):
+    def refused(method, path, **more):
+        answer = ask(app, (method, f"/secret/{path}", more))[0]
+        assert answer.status_code == 400
+        return answer.json()["error"]
+
+    assert "There is no shape 7" in refused("DELETE", "shapes/7")
+    assert "Expected JSON" in refused("PUT", "settings", content=b"{")
+    assert "Expected a JSON object" in refused("PUT", "settings", content=b"[]")
+    assert "Expected a model" in refused("PUT", "settings", json={"model": "../x"})
+    assert "numbers of a source" in refused("POST", "matches", json={"source": "1", "target": 2})
+    content = mesh_bytes(tmp_path)
+    ask(app, ("POST", "/secret/shapes", {"params": {"name": "a.off"}, "content": content}))
+    assert "two different shapes" in refused("POST", "matches", json={"source": 1, "target": 1})
+    wait_until_done(app)
+    put = lambda **body: refused("PUT", "shapes/1/landmarks", json=body)  # noqa: E731
+    assert "Expected lists" in put(names=1)
+    assert "as many names as vertices" in put(names=["a"], places=[])
+    assert "1 to 100 characters" in put(names=[""], places=[0])
+    assert "printable" in put(names=["a\nb"], places=[0])
+    assert "one name" in put(names=["a", "a"], places=[0, 1])
+    assert "vertices from 0 to" in put(names=["a"], places=[10**9])
+    assert "ends in one of" in refused("POST", "shapes/1/landmarks?name=a.exe", content=b"x")
+
+
+def test_a_folder_with_other_things_or_a_damaged_project_is_refused(tmp_path):
+    (tmp_path / "photo.jpg").write_bytes(b"x")
+    with pytest.raises(InputError, match="holds other files and no project"):
+        Project(tmp_path)
+    (tmp_path / "project.json").write_text("{")
+    with pytest.raises(InputError, match="is damaged"):
+        Project(tmp_path)
+    (tmp_path / "project.json").write_text('{"version": 99}')
+    with pytest.raises(InputError, match="by another version"):
+        Project(tmp_path)
+    with pytest.raises(InputError, match=r"'a.png' is not a mesh file"):
+        check_mesh_name("x/a.png")
