@@ -75,6 +75,7 @@ def serve(
         numbers.append(studio.add_file(path, shape.name).number)
     if len(numbers) == 2:
         studio.match(*numbers, landmarks=False)
+    listener.listen()  # a browser that is quicker than the server waits
     on_start(f"http://{_ADDRESS}:{port}/{token}/")
     config = uvicorn.Config(
         app, log_level="error", access_log=False, server_header=False, timeout_graceful_shutdown=1
