@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from esd.mesh.repair.diagnose import diagnose as diagnose
     from esd.mesh.repair.repair import repair as repair
     from esd.parallel import Workers as Workers
+    from esd.registration.register import register as register
     from esd.spectral.spectrum import Spectrum as Spectrum
     from esd.spectral.spectrum import spectrum as spectrum
     from esd.viewing.page import view as view
@@ -68,6 +69,7 @@ _HOMES = {
     "open_collection": "esd.datasets.open",
     "preset": "esd.learning.presets",
     "read_mesh": "esd.mesh.io.meshes",
+    "register": "esd.registration.register",
     "repair": "esd.mesh.repair.repair",
     "save_map": "esd.matching.correspondence",
     "save_model": "esd.learning.model",

@@ -22,6 +22,7 @@ from esd.cli.match import match
 from esd.cli.model import model
 from esd.cli.output import HELP_NAMES, HelpfulCommand, telling
 from esd.cli.precompute import precompute
+from esd.cli.register import register
 from esd.cli.reproduce import reproduce
 from esd.cli.spectrum import spectrum
 from esd.cli.studio import studio
@@ -57,6 +58,10 @@ _EXAMPLES: dict[Callable[..., None], tuple[str, ...]] = {
         "esd transfer a.ply b.ply map.csv --labels parts.txt -o b-parts.txt",
         "esd transfer a.obj b.ply map.csv --texture -o b-textured.obj",
         "esd transfer a.ply b.ply map.csv --morph 10 -o between/",
+    ),
+    register: (
+        "esd register template.ply scan.ply -o registered.ply",
+        "esd register template.obj scan.ply --map map.csv -o registered.obj",
     ),
     export: (
         "esd export a.ply b.ply map.csv -o a-matched.vtp",

@@ -102,7 +102,7 @@ def match(
     loaded = load_model(model, device=device)
     if reject:
         check_threshold(loaded)
-    names, pairs = _landmark_pairs(landmarks or [], source, target)
+    names, pairs = landmark_pairs(landmarks or [], source, target)
     shapes = []
     with progress("matching"):
         for file in (source, target):
@@ -177,7 +177,7 @@ def _tell_judgement(judged: Judgement, names: tuple[str, ...]) -> None:
         tell(f"Landmark '{names[index]}' was left out: the others contradict it.")
 
 
-def _landmark_pairs(
+def landmark_pairs(
     files: list[Path], source: Path, target: Path
 ) -> tuple[tuple[str, ...], IntArray | None]:
     """Names of landmarks, and pairs (l, 2) of vertices; none if there is no file."""

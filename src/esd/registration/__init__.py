@@ -1,0 +1,1 @@
+"""Templates fitted to scans, and the statistics of the shapes that result."""

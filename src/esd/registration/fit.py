@@ -1,0 +1,235 @@
+"""A template's mesh deformed onto a scan, along a map and to the nearest points of its surface."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import KDTree
+
+from esd.common import BoolArray, FloatArray, InputError, IntArray
+from esd.mesh.geometry import is_referenced, surface_area, vertex_normals
+from esd.mesh.mesh import Mesh, PointCloud
+from esd.mesh.surface import closest_points, interpolated, positions
+from esd.mesh.topology import boundary_edges, edge_table
+from esd.registration.elastic import Elastic, Pull, elastic
+
+_MAP_LENGTHS = (0.3, 0.2, 0.12, 0.08, 0.05, 0.05, 0.05, 0.05)
+_SURFACE_LENGTHS = (0.05, 0.05, 0.04, 0.04, 0.03, 0.03, 0.02, 0.02, 0.015, 0.015, 0.01, 0.01)
+"""In √area: lengths over which the deformation is stiff, in the rounds of the two stages."""
+
+_TRUST = (0.3, 0.04)  # in √area: residual that quarters the weight of a match; first, last round
+_TANGENTIAL = 0.05  # weight of a nearest point along the surface, beside that along its normal
+_REACH = (0.1, 0.03)  # in √area: farthest nearest point that counts; first and last round
+_ORIENTED = 0.1  # in √area: length of the normals beside positions, as nearest points are sought
+_LEAST_COSINE = 0.5  # of the normals at a vertex and at its nearest point
+_ATTEMPTS = 10  # to turn inverted faces back, each with a wider neighbourhood
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """A template's vertices on a scan.
+
+    Parameters
+    ----------
+    vertices : (n, 3)
+        In the coordinates of the scan.
+    supported : (n,)
+        Whether the scan has a nearest point for a vertex; elsewhere it was carried on smoothly.
+    scale : float
+        Lengths of the scan over those of the template.
+    """
+
+    vertices: npt.NDArray[np.float64]
+    supported: BoolArray
+    scale: float
+
+
+def fit(
+    template: Mesh,
+    scan: Mesh | PointCloud,
+    target_index: IntArray,
+    confidence: FloatArray,
+    *,
+    start: npt.NDArray[np.float64] | None = None,
+) -> Fit:
+    """The template's vertices on a scan.
+
+    First the vertices are drawn to their images under the map, robustly; then also to the nearest
+    points of the scan's surface, along its normals, where the normals agree. Both are weighed
+    against the energy of an as-rigid-as-possible deformation, which becomes softer from round to
+    round; it alone decides where the scan has nothing. Last, inverted faces are turned back.
+
+    Parameters
+    ----------
+    template
+        All of its vertices have a face.
+    target_index : (n,)
+        Scan vertex of each template vertex, -1 for none.
+    confidence : (n,)
+        Weights of these from 0 to 1; NaN counts as 1.
+    start : (n, 3), optional
+        Positions to start from, such as those of the frame before. The map may then be empty.
+
+    Raises
+    ------
+    InputError
+        If nothing is matched and there is no start.
+
+    References
+    ----------
+    Sorkine, Alexa 2007, *As-rigid-as-possible surface modeling*. Amberg, Romdhani, Vetter 2007,
+    *Optimal step nonrigid ICP algorithms for surface registration* (the rounds).
+    """
+    weight = np.where(np.isnan(confidence), 1.0, confidence) * (target_index >= 0)
+    if start is None and not weight.any():
+        raise InputError("No vertex of the template has a match on the scan.")
+    image = scan.vertices[target_index]
+    scale = 1.0 if start is not None else _scale(template, scan, target_index, weight)
+    body = elastic(Mesh(scale * template.vertices, template.faces))
+    unit = body.unit
+
+    def matched(vertices: npt.NDArray[np.float64], trust: float) -> npt.NDArray[np.float64]:
+        """Weights of the matches, less of those that the others contradict (Geman, McClure)."""
+        gap = ((vertices - image) ** 2).sum(axis=1)
+        return np.asarray(weight / (1 + gap / (trust * unit) ** 2) ** 2)
+
+    vertices = body.laid(image, weight) if start is None else start
+    for share, length in _rounds(_MAP_LENGTHS if start is None else ()):
+        vertices = body.drawn(
+            vertices, Pull(image, matched(vertices, _between(_TRUST, share))), length
+        )
+    surface = _surface(scan, _ORIENTED * unit)
+    for share, length in _rounds(_SURFACE_LENGTHS):
+        near = surface.nearest(
+            vertices, vertex_normals(Mesh(vertices, template.faces)), _between(_REACH, share) * unit
+        )
+        by_map = (1 - share) * matched(vertices, _TRUST[-1])
+        along = near.accepted.astype(float)
+        total = by_map + _TANGENTIAL * along
+        position = by_map[:, None] * image + (_TANGENTIAL * along)[:, None] * near.points
+        position /= np.maximum(total, np.finfo(float).tiny)[:, None]
+        height = (near.points * near.normals).sum(axis=1)
+        vertices = body.drawn(vertices, Pull(position, total, near.normals, height, along), length)
+    vertices = _turned_back(body, vertices, template.faces)
+    return Fit(vertices, near.accepted, scale)
+
+
+def is_inverted(mesh: Mesh) -> BoolArray:
+    """Whether the normal of each face is against the sum of those of its neighbours, (m,).
+
+    Normals are as long as the areas. Faces without area are counted, those without neighbours not.
+    """
+    table = edge_table(mesh.faces, len(mesh.vertices))
+    sides = table.inner_sides() // 3  # of the two faces at each edge
+    a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
+    normal = np.cross(b - a, c - a)
+    around = np.zeros_like(normal)
+    np.add.at(around, sides[:, 0], normal[sides[:, 1]])
+    np.add.at(around, sides[:, 1], normal[sides[:, 0]])
+    has_neighbours = np.zeros(len(normal), dtype=bool)
+    has_neighbours[sides] = True
+    return np.asarray(((normal * around).sum(axis=1) <= 0) & has_neighbours)
+
+
+def _turned_back(
+    body: Elastic, vertices: npt.NDArray[np.float64], faces: IntArray
+) -> npt.NDArray[np.float64]:
+    """The vertices with neighbourhoods of inverted faces laid anew between the others."""
+    at_rest = is_inverted(Mesh(body.rest, faces))
+    for attempt in range(_ATTEMPTS):
+        inverted = is_inverted(Mesh(vertices, faces)) & ~at_rest
+        if not inverted.any():
+            break
+        free = np.zeros(len(vertices), dtype=bool)
+        free[faces[inverted]] = True
+        for _ in range(attempt % (_ATTEMPTS // 2)):
+            free[faces[free[faces].any(axis=1)]] = True
+        if free.all():
+            break
+        vertices = body.filled(vertices, free.astype(float), membrane=attempt >= _ATTEMPTS // 2)
+    return vertices
+
+
+def _rounds(lengths: tuple[float, ...]) -> list[tuple[float, float]]:
+    """Share of the rounds that are done, from 0 to 1, and the length of each."""
+    return [(turn / (len(lengths) - 1), length) for turn, length in enumerate(lengths)]
+
+
+def _between(ends: tuple[float, float], share: float) -> float:
+    """A value between two on a logarithmic scale."""
+    return float(ends[0] ** (1 - share) * ends[1] ** share)
+
+
+def _scale(
+    template: Mesh, scan: Mesh | PointCloud, target_index: IntArray, weight: npt.NDArray[np.float64]
+) -> float:
+    """Lengths of the scan over those of the template, by the spread of what is matched."""
+    if not isinstance(scan, Mesh):
+        matched = weight > 0
+        here, there = template.vertices[matched], scan.vertices[target_index[matched]]
+        spreads = [np.sqrt(((x - x.mean(axis=0)) ** 2).sum(axis=1).mean()) for x in (here, there)]
+        return float(spreads[1] / max(spreads[0], np.finfo(float).tiny))
+    faces = template.faces[(weight[template.faces] > 0).any(axis=1)]
+    covered = surface_area(Mesh(template.vertices, faces))
+    return float(np.sqrt(surface_area(scan) / covered))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Near:
+    """Nearest points (p, 3), the normals there, and whether they are to be believed, (p,)."""
+
+    points: npt.NDArray[np.float64]
+    normals: FloatArray
+    accepted: BoolArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Surface:
+    """A scan in which nearest points are sought.
+
+    Parameters
+    ----------
+    tree
+        Of the positions of the vertices `used`, with their normals of length `reach` beside them.
+    is_rim : (n,)
+        Whether each vertex is at a boundary.
+    """
+
+    scan: Mesh | PointCloud
+    tree: KDTree
+    used: IntArray
+    normals: FloatArray
+    is_rim: BoolArray
+    reach: float
+
+    def nearest(self, points: npt.NDArray[np.float64], normals: FloatArray, reach: float) -> _Near:
+        """Nearest points of the surface, believed up to a distance and where normals agree."""
+        if isinstance(self.scan, PointCloud):
+            distance, index = self.tree.query(points)
+            found = self.scan.vertices[index]
+            # the points' own normals are not known; those of the template stand for them
+            return _Near(found, normals, distance < reach)
+        vertex = self.used[self.tree.query(np.hstack([points, self.reach * normals]))[1]]
+        place = closest_points(self.scan, points, vertex)
+        found = positions(self.scan, place)
+        there = interpolated(self.normals, self.scan, place)
+        there /= np.maximum(np.linalg.norm(there, axis=1, keepdims=True), np.finfo(float).tiny)
+        # what lies beyond a boundary has its nearest point on it, and no counterpart
+        is_rim = self.is_rim[self.scan.faces[place.face]]
+        beyond = ((place.weights == 0) | is_rim).all(axis=1)
+        accepted = (np.linalg.norm(found - points, axis=1) < reach) & ~beyond
+        return _Near(found, there, accepted & ((there * normals).sum(axis=1) > _LEAST_COSINE))
+
+
+def _surface(scan: Mesh | PointCloud, reach: float) -> _Surface:
+    count = len(scan.vertices)
+    is_rim = np.zeros(count, dtype=bool)
+    if isinstance(scan, PointCloud):
+        normals: FloatArray = np.zeros_like(scan.vertices)
+        return _Surface(scan, KDTree(scan.vertices), np.arange(count), normals, is_rim, reach)
+    used, normals = np.flatnonzero(is_referenced(scan)), vertex_normals(scan)
+    is_rim[boundary_edges(scan)] = True
+    tree = KDTree(np.hstack([scan.vertices, reach * normals])[used])
+    return _Surface(scan, tree, used, normals, is_rim, reach)
