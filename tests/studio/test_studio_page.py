@@ -46,6 +46,7 @@ def files(tmp_path):
 
 
 def test_from_files_to_a_corrected_map_that_survives_a_kill(browser, start, files):
+    playwright = pytest.importorskip("playwright.sync_api")
     process, address = start()
     tab = browser.new_context(viewport={"width": 1400, "height": 800}).new_page()
     complaints = []
@@ -63,13 +64,17 @@ def test_from_files_to_a_corrected_map_that_survives_a_kill(browser, start, file
     for share in (0.06, 0.14, 0.36, 0.42):  # of the width: the torus has a hole in the middle
         for side in (0, 0.5):
             tab.mouse.click(box["x"] + (side + share) * box["width"], box["y"] + box["height"] / 2)
-    count = tab.locator("#landmark-list li").count()
+    landmarks = tab.locator("#landmark-list li")
+    count = -1
+    while count != landmarks.count():  # the list follows the clicks with some delay
+        count = landmarks.count()
+        tab.wait_for_timeout(1000)
     tab.keyboard.press("Escape")
     assert count >= 3
     tab.click("#landmark-undo")
-    assert tab.locator("#landmark-list li").count() == count - 1
+    playwright.expect(landmarks).to_have_count(count - 1)
     tab.click("#landmark-redo")
-    assert tab.locator("#landmark-list li").count() == count
+    playwright.expect(landmarks).to_have_count(count)
     before = tab.get_attribute("html", "data-shown")
     tab.click("#rematch")
     tab.wait_for_function(

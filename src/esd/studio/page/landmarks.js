@@ -17,6 +17,7 @@ export function createLandmarks(viewer, say) {
   let before = null; // what the rows were when a drag began
   let saving = Promise.resolve();
   let inFlight = 0;
+  let known = -1; // version of the server's state from which on it has all that was saved
 
   const copy = () => rows.map((row) => ({ ...row }));
 
@@ -25,12 +26,12 @@ export function createLandmarks(viewer, say) {
     return { names: kept.map(({ name }) => name), places: kept.map((row) => row[side]) };
   }
 
-  // Take over what the server has, unless something is on its way to it.
-  function show(source, target) {
+  // Take over what the server has, unless something is on its way to it or it is older than that.
+  function show(version, source, target) {
     const isNew = pair?.source.number !== source?.number || pair?.target.number !== target?.number;
     pair = source && target ? { source, target } : null;
     element("landmarks").hidden = !pair;
-    if (!pair || (inFlight && !isNew)) return;
+    if (!pair || ((inFlight || version < known) && !isNew)) return;
     if (isNew) {
       past = [];
       undone = [];
@@ -60,6 +61,7 @@ export function createLandmarks(viewer, say) {
     inFlight++;
     saving = saving
       .then(() => Promise.all(sent.map(([shape, json]) => ask(`shapes/${shape.number}/landmarks`, { method: "PUT", json }))))
+      .then((answers) => { known = Math.max(known, ...answers.map(({ version }) => version)); })
       .catch((error) => say(error.message))
       .finally(() => inFlight--);
     return saving;

@@ -63,7 +63,7 @@ const showPair = guarded(async () => {
   const key = map ? `map ${pair.source} ${pair.target} ${map.stamp}` : `shapes ${ready.map(({ number }) => number)}`;
   empty.hidden = ready.length > 0;
   element("export").hidden = !map;
-  landmarks?.show(...(ready.length === 2 ? ready : []));
+  landmarks?.show(state.version, ...(ready.length === 2 ? ready : []));
   if (!viewer || key === shown || !ready.length) return;
   shown = key;
   const scene = map ? await askScene(`maps/${pair.source}/${pair.target}/view`) : await bareScene(ready);
