@@ -1,3 +1,4 @@
+import asyncio
 import logging
 import os
 import signal
@@ -172,6 +173,12 @@ def test_a_scheduler_that_does_not_answer_is_waited_for_no_longer_than_the_patie
     with pytest.raises(InputError, match="No Dask scheduler answered"):
         list(outcomes(square, [1], workers=nobody))
     assert time.monotonic() - start < 30
+
+    async def in_a_notebook() -> None:
+        list(outcomes(square, [1], workers=nobody))
+
+    with pytest.raises(InputError, match="No Dask scheduler answered"):
+        asyncio.run(in_a_notebook())
 
 
 def test_side_by_side_no_job_takes_more_than_one_thread():

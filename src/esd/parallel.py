@@ -12,7 +12,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Coroutine, Iterable, Iterator
 from concurrent.futures import (
     FIRST_COMPLETED,
     BrokenExecutor,
@@ -260,7 +260,7 @@ def _await_scheduler(workers: Workers) -> None:
     report.daemon = True
     report.start()
     try:
-        if asyncio.run(identity()).get("type") == "Scheduler":
+        if _awaited(identity).get("type") == "Scheduler":
             return
     except (OSError, TimeoutError) as error:
         raise InputError(
@@ -275,6 +275,16 @@ def _await_scheduler(workers: Workers) -> None:
         f"What answers at '{workers.scheduler}' is no Dask scheduler, or one of a version that "
         "cannot be read here. Give the address that `dask scheduler` prints."
     )
+
+
+def _awaited(function: Callable[[], Coroutine[Any, Any, Any]]) -> Any:
+    """What a coroutine returns; also where an event loop is running, as in notebooks."""
+    try:
+        asyncio.get_running_loop()
+    except RuntimeError:
+        return asyncio.run(function())
+    with ThreadPoolExecutor(1) as executor:  # an event loop of its own
+        return executor.submit(lambda: asyncio.run(function())).result()
 
 
 def _warn_of_versions(client: Any) -> None:
