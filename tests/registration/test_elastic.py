@@ -1,0 +1,60 @@
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from esd.mesh.mesh import Mesh
+from esd.mesh.shapes import subdivide, torus
+from esd.registration.elastic import Pull, elastic, nearest_rotations
+
+
+def test_nearest_rotations_are_those_of_stretched_rotations():
+    rotation = Rotation.random(5, random_state=0).as_matrix()
+    # R S with S symmetric positive definite has the polar factor R
+    found = nearest_rotations(rotation @ np.diag([3.0, 1.0, 0.5]))
+    assert found == pytest.approx(rotation, abs=1e-12)
+    assert np.linalg.det(nearest_rotations(-np.eye(3)[None])) == pytest.approx(1.0)
+
+
+def test_three_places_of_a_moved_template_carry_all_of_it_along():
+    rest = subdivide(torus(12, 8))
+    rotation = Rotation.from_euler("xyz", [0.3, -0.2, 0.4]).as_matrix()
+    moved = rest.vertices @ rotation.T + [1.0, 2.0, 3.0]
+    weight = np.zeros(len(moved))
+    weight[:: len(moved) // 60] = 1.0
+    body = elastic(rest)
+    image = np.where(weight[:, None] > 0, moved, 0.0)
+    found = body.laid(image, weight)
+    for _ in range(10):
+        found = body.drawn(found, Pull(image, weight), 0.1)
+    # the energy of a rigid motion is zero; the steps converge linearly
+    assert np.abs(found - moved).max() < 0.02 * body.unit
+
+
+def test_free_vertices_are_laid_as_they_are_at_rest_or_as_a_membrane():
+    rest = subdivide(torus(12, 8))
+    body = elastic(rest)
+    free = np.zeros(len(rest.vertices))
+    free[rest.faces[0]] = 1.0
+    broken = rest.vertices + free[:, None] * [0.0, 0.0, -5.0]
+    laid = body.filled(broken, free)
+    # the links to the displaced vertices held, of weight 1e-6, pull them by a millionth or so
+    assert laid == pytest.approx(rest.vertices, abs=1e-4)
+    membrane = body.filled(broken, free, membrane=True)
+    stay = free == 0
+    assert (membrane[stay] == broken[stay]).all()
+    assert np.abs(membrane - rest.vertices).max() < 0.5
+
+
+def test_loose_pieces_move_with_the_nearest_piece():
+    one = subdivide(torus(12, 8))
+    small = Mesh(0.1 * one.vertices + [2.0, 0.0, 0.0], one.faces)
+    count = len(one.vertices)
+    both = Mesh(
+        np.concatenate([one.vertices, small.vertices]),
+        np.concatenate([one.faces, one.faces + count]),
+    )
+    body = elastic(both)
+    weight = np.append(np.ones(count), np.zeros(count))
+    shifted = both.vertices + np.array([0.0, 3.0, 0.0])
+    found = body.drawn(body.laid(shifted, weight), Pull(shifted, weight), 0.05)
+    assert found == pytest.approx(shifted, abs=0.02 * body.unit)

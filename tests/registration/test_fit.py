@@ -1,0 +1,84 @@
+import numpy as np
+import pytest
+
+from esd.common import InputError
+from esd.mesh.mesh import Mesh, PointCloud
+from esd.mesh.shapes import subdivide, torus
+from esd.registration.fit import fit, is_inverted
+from esd.registration.quality import distance_to, quality
+
+
+@pytest.fixture(scope="module")
+def template() -> Mesh:
+    return subdivide(torus(16, 10))
+
+
+def bent(mesh: Mesh) -> Mesh:
+    x, y, z = mesh.vertices.T
+    return Mesh(np.stack([x, y, z + 0.2 * x**2], axis=1), mesh.faces)
+
+
+def test_a_template_lies_on_the_surface_of_a_bent_scan(template):
+    scan = bent(subdivide(template))
+    index = np.arange(len(template.vertices))  # the first vertices of a subdivided mesh
+    found = fit(template, scan, index, np.ones(len(index)))
+    figures = quality(template, scan, found)
+    assert figures.relative_distance < 0.002
+    assert figures.inverted == 0
+    assert figures.supported == 1.0
+    # beside 0.01 √area, over which the last round is stiff
+    assert np.abs(found.vertices - scan.vertices[index]).max() < 0.05
+
+
+def test_wrong_matches_are_outvoted(template):
+    scan = bent(template)
+    index = np.arange(len(template.vertices))
+    wrong = np.random.default_rng(0).choice(len(index), len(index) // 10, replace=False)
+    index[wrong] = np.roll(index[wrong], 1)
+    found = fit(template, scan, index, np.ones(len(index)))
+    gap = np.linalg.norm(found.vertices - scan.vertices, axis=1)
+    assert np.median(gap) < 0.03
+    assert quality(template, scan, found).inverted == 0
+
+
+def test_where_the_scan_has_nothing_the_template_is_carried_on(template):
+    kept = (template.vertices[template.faces][:, :, 0] < 0.5).all(axis=1)
+    scan = Mesh(template.vertices, template.faces[kept])
+    covered = np.zeros(len(template.vertices), dtype=bool)
+    covered[scan.faces] = True
+    index = np.where(covered, np.arange(len(covered)), -1)
+    found = fit(template, scan, index, covered.astype(float))
+    assert not found.supported[template.vertices[:, 0] > 1.0].any()
+    # nothing moved: what is missing is the template's own
+    assert np.abs(found.vertices - template.vertices).max() < 0.1
+
+
+def test_points_are_scans_as_well(template):
+    moved = template.vertices + np.array([0.0, 0.0, 1.0])
+    index = np.arange(len(moved))
+    found = fit(template, PointCloud(moved), index, np.full(len(index), np.nan))
+    assert distance_to(PointCloud(moved), found.vertices).mean() < 0.01
+
+
+def test_a_start_takes_the_place_of_a_map(template):
+    scan = Mesh(template.vertices + np.array([0.0, 0.0, 0.02]), template.faces)
+    none = np.full(len(template.vertices), -1)
+    found = fit(template, scan, none, np.zeros(len(none)), start=template.vertices)
+    assert quality(template, scan, found).relative_distance < 0.002
+    with pytest.raises(InputError, match="No vertex of the template has a match"):
+        fit(template, scan, none, np.zeros(len(none)))
+
+
+def test_a_face_is_inverted_where_a_vertex_is_pushed_across_its_neighbours():
+    x, y = np.meshgrid(np.arange(5.0), np.arange(5.0))
+    vertices = np.stack([x.ravel(), y.ravel(), np.zeros(25)], axis=1)
+    corner = np.array([5 * r + c for r in range(4) for c in range(4)])
+    faces = np.concatenate(
+        [
+            np.stack([corner, corner + 1, corner + 6], axis=1),
+            np.stack([corner, corner + 6, corner + 5], axis=1),
+        ]
+    )
+    assert not is_inverted(Mesh(vertices, faces)).any()
+    vertices[12, 0] += 1.5  # past the vertex beside it
+    assert is_inverted(Mesh(vertices, faces)).any()
