@@ -12,7 +12,7 @@ from esd.mesh.io.meshes import write_mesh  # noqa: E402
 from esd.mesh.mesh import Mesh  # noqa: E402
 from esd.mesh.shapes import subdivide, torus  # noqa: E402
 from esd.studio import app as studio_app  # noqa: E402
-from esd.studio.app import create_app  # noqa: E402
+from esd.studio.app import Studio, create_app  # noqa: E402
 from esd.studio.project import Project, check_mesh_name  # noqa: E402
 
 PORT = 4321
@@ -30,9 +30,9 @@ def mesh_bytes(folder, scale=1.0) -> bytes:
 
 @pytest.fixture
 def app(tmp_path):
-    made = create_app(Project(tmp_path / "project"), token="secret", port=PORT)
-    yield made
-    made._inner.state.studio.jobs.close()
+    studio = Studio(Project(tmp_path / "project"))
+    yield create_app(studio, token="secret", port=PORT)
+    studio.jobs.close()
 
 
 def ask(app, *requests, headers=None):

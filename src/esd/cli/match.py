@@ -31,10 +31,9 @@ from esd.cli.options import (
 )
 from esd.cli.output import about, destination, tell
 from esd.cli.progress import progress
-from esd.cli.shapes import read_drawable
+from esd.cli.shapes import landmark_pairs, read_drawable
 
 if TYPE_CHECKING:
-    from esd.common import IntArray
     from esd.matching.confidence import Judgement
 
 
@@ -175,25 +174,3 @@ def _tell_judgement(judged: Judgement, names: tuple[str, ...]) -> None:
         tell("The source was mirrored: its mirror image fits better.")
     for index in judged.contradicted:
         tell(f"Landmark '{names[index]}' was left out: the others contradict it.")
-
-
-def landmark_pairs(
-    files: list[Path], source: Path, target: Path
-) -> tuple[tuple[str, ...], IntArray | None]:
-    """Names of landmarks, and pairs (l, 2) of vertices; none if there is no file."""
-    if not files:
-        return (), None
-    if len(files) > 2:
-        raise typer.BadParameter("--landmarks takes one file or two.")
-    from esd.matching.landmarks import paired_landmarks, read_landmark_pairs
-
-    if len(files) == 1:
-        return read_landmark_pairs(files[0])
-    from esd.mesh.io.landmarks import read_landmarks
-    from esd.mesh.repair.repair import usable_part
-
-    read = [
-        read_landmarks(file, usable_part(mesh))
-        for file, mesh in zip(files, (source, target), strict=True)
-    ]
-    return paired_landmarks(*read)

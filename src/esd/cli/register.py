@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from esd.cli.match import landmark_pairs
 from esd.cli.options import DeviceOption, ForceOption, JsonOption, ModelOption
 from esd.cli.output import about, destination, tell
 from esd.cli.progress import progress
+from esd.cli.shapes import landmark_pairs
 
 if TYPE_CHECKING:
     from esd.mesh.mesh import Mesh

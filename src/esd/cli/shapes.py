@@ -1,13 +1,16 @@
-"""Shapes as commands read them that need no repaired ones."""
+"""Shapes and landmarks as commands read them that need no repaired shapes."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import typer
+
 from esd.cli.output import about
 
 if TYPE_CHECKING:
+    from esd.common import IntArray
     from esd.mesh.mesh import Mesh, PointCloud
 
 
@@ -39,3 +42,25 @@ def read_drawable(path: Path) -> Mesh:
         if not surface_area(mesh) > 0:
             raise InputError("Its faces have no area; a surface is needed.")
         return mesh
+
+
+def landmark_pairs(
+    files: list[Path], source: Path, target: Path
+) -> tuple[tuple[str, ...], IntArray | None]:
+    """Names of landmarks, and pairs (l, 2) of vertices; none if there is no file."""
+    if not files:
+        return (), None
+    if len(files) > 2:
+        raise typer.BadParameter("--landmarks takes one file or two.")
+    from esd.matching.landmarks import paired_landmarks, read_landmark_pairs
+
+    if len(files) == 1:
+        return read_landmark_pairs(files[0])
+    from esd.mesh.io.landmarks import read_landmarks
+    from esd.mesh.repair.repair import usable_part
+
+    read = [
+        read_landmarks(file, usable_part(mesh))
+        for file, mesh in zip(files, (source, target), strict=True)
+    ]
+    return paired_landmarks(*read)

@@ -163,7 +163,7 @@ def point_table(
         Number of points of each template to keep, drawn at random but the same for all its shapes,
         with no other vertices, so that many shapes fit into memory; all by default.
     patches
-        Whose operators are made, too; of all vertices, so `points` must be left out.
+        Of which operators are computed as well. They need all vertices, so `points` must be None.
     workers
         What describes the shapes.
     on_shape

@@ -58,11 +58,11 @@ class Correspondence:
 
     def rejecting(self, squared_distance: float) -> Correspondence:
         """The map without the matches whose squared distance is larger."""
-        return self._keeping(self.distance**2 <= squared_distance)
+        return self.keeping(self.distance**2 <= squared_distance)
 
     def confident(self, least: float) -> Correspondence:
         """The map without the matches of less confidence; those whose confidence is NaN stay."""
-        return self._keeping(~(self.confidence < least))
+        return self.keeping(~(self.confidence < least))
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the map, see `save_map`."""
@@ -73,7 +73,8 @@ class Correspondence:
         verdict = f", {self.judgement.verdict}" if self.judgement else ""
         return f"<Correspondence: {self.is_matched().sum()} of {count} vertices matched{verdict}>"
 
-    def _keeping(self, keep: BoolArray) -> Correspondence:
+    def keeping(self, keep: BoolArray) -> Correspondence:
+        """The map without the matches of the source vertices that are not to keep, (n,)."""
         return replace(
             self,
             target_index=np.where(keep, self.target_index, -1),

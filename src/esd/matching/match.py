@@ -383,13 +383,7 @@ def _without_doubles(match: Correspondence, source: Features) -> Correspondence:
     """The map without those original vertices that share a repaired one with another."""
     index = source.vertex_index
     is_first = source.original_index[index] == np.arange(len(index))
-    keep = is_first & match.is_matched()
-    return replace(
-        match,
-        target_index=np.where(keep, match.target_index, -1),
-        distance=np.where(keep, match.distance, np.inf),
-        confidence=np.where(keep, match.confidence, 0.0),
-    )
+    return match.keeping(is_first)
 
 
 def with_similarity(

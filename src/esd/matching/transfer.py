@@ -154,10 +154,7 @@ def aligned_image(source: Mesh, target: Mesh, match: Correspondence) -> FloatArr
         If the map does not fit the meshes, or has no match.
     """
     rotation = aligning_rotation(source, target, match)
-    matched = match.is_matched()
-    here, there = source.vertices[matched], target.vertices[match.target_index[matched]]
-    weights = _shares_of_area(source)[matched]
-    weights /= weights.sum()
+    here, there, weights = _matched_points(source, target, match)
     moved = (there - weights @ there) @ rotation.T + weights @ here
     _, nearest = KDTree(here).query(source.vertices)
     return np.asarray(source.vertices + (moved - here)[nearest])
@@ -174,10 +171,7 @@ def aligning_rotation(source: Mesh, target: Mesh, match: Correspondence) -> Floa
         If the map does not fit the meshes, or has no match.
     """
     _check_fit(source, target, match)
-    matched = match.is_matched()
-    here, there = source.vertices[matched], target.vertices[match.target_index[matched]]
-    weights = _shares_of_area(source)[matched]
-    weights /= weights.sum()
+    here, there, weights = _matched_points(source, target, match)
     if len(here) == 1:
         return np.eye(3)
     rotation, _ = Rotation.align_vectors(here - weights @ here, there - weights @ there, weights)
@@ -211,7 +205,7 @@ def places_of_points(
     near: IntArray,
     method: Method,
 ) -> SurfacePoints:
-    """SurfacePoints of points of the target (p, 3), each near some of its vertices (p, c)."""
+    """Where points (p, 3) of the target lie on the source; each is near some vertices, (p, c)."""
     _check_fit(source, target, match)
     usable = np.flatnonzero(match.is_matched() & is_referenced(source))
     if len(usable) == 0:
@@ -265,10 +259,15 @@ def _faces_at_images(source: Mesh, target: Mesh, image: IntArray) -> sparse.csr_
     )
 
 
-def _shares_of_area(mesh: Mesh) -> FloatArray:
-    """Areas of the vertices, none of them zero, so that some are left of any choice."""
-    areas = vertex_areas(mesh)
-    return np.asarray(areas + 1e-9 * max(areas.sum(), 1e-300))
+def _matched_points(
+    source: Mesh, target: Mesh, match: Correspondence
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Matched points of both meshes, (c, 3), and the share of each in the area of all, (c,)."""
+    matched = match.is_matched()
+    areas = vertex_areas(source)
+    areas = areas + 1e-9 * max(areas.sum(), 1e-300)  # none is zero, so that some are left
+    weights = areas[matched] / areas[matched].sum()
+    return source.vertices[matched], target.vertices[match.target_index[matched]], weights
 
 
 def _check_fit(source: Mesh, target: Mesh, match: Correspondence) -> None:

@@ -15,6 +15,7 @@ from esd.common import FloatArray, IntArray
 from esd.mesh.geometry import components, vertex_areas
 from esd.mesh.mesh import Mesh
 from esd.mesh.topology import EdgeTable, edge_table
+from esd.spectral.laplacian import cotangents
 
 _STEPS = 4  # local and global steps, after which a round ends
 _SMOOTH = 0.05  # in √area: over this length the images are smoothed of which rotations are taken
@@ -165,10 +166,6 @@ class Elastic:
         result[inner] = _solver(rows[:, inner] + held)(right + _HELD * vertices[inner])
         return result
 
-    def transforms(self, vertices: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """The rotation of each neighbourhood from the rest shape, (n, 3, 3)."""
-        return nearest_rotations(self._moments(vertices))
-
     def _moments(
         self, vertices: npt.NDArray[np.float64], weight: npt.NDArray[np.float64] | None = None
     ) -> npt.NDArray[np.float64]:
@@ -238,15 +235,9 @@ def nearest_rotations(matrices: npt.NDArray[np.float64]) -> npt.NDArray[np.float
 
 def _edge_stiffness(mesh: Mesh, table: EdgeTable) -> npt.NDArray[np.float64]:
     """Half the sum of the cotangents opposite to each edge, at least a little, (e,)."""
-    total = np.zeros(len(table.ends))
-    corners = mesh.vertices[mesh.faces]
-    for corner in range(3):
-        u = corners[:, (corner + 1) % 3] - corners[:, corner]
-        v = corners[:, (corner + 2) % 3] - corners[:, corner]
-        double_area = np.linalg.norm(np.cross(u, v), axis=1)
-        cotangent = (u * v).sum(axis=1) / np.maximum(double_area, np.finfo(float).tiny)
-        half = np.clip(cotangent, -_STEEPEST, _STEEPEST) / 2
-        total += np.bincount(table.of_side[:, corner], half, len(total))  # side opposite to corner
+    half = np.clip(cotangents(mesh), -_STEEPEST, _STEEPEST) / 2
+    # the side of a corner is that opposite to it, in both
+    total = np.bincount(table.of_side.ravel(), half.ravel(), len(table.ends))
     return np.maximum(total, _LEAST_STIFFNESS)
 
 

@@ -14,7 +14,7 @@ from dataclasses import asdict
 from importlib import resources
 from pathlib import Path
 from string import Template
-from typing import Any
+from typing import Any, get_args
 from urllib.parse import quote
 
 import numpy as np
@@ -28,7 +28,8 @@ from starlette.types import ASGIApp
 
 from esd.common import InputError
 from esd.learning.model import ALIASES, bundled_models
-from esd.matching.correspondence import MAP_SUFFIXES, load_map, save_map
+from esd.matching.correspondence import MAP_SUFFIXES, Correspondence, load_map, save_map
+from esd.matching.match import Mirror
 from esd.mesh.io.landmarks import LANDMARK_FORMATS, Landmarks, read_landmarks, write_landmarks
 from esd.mesh.io.meshes import WRITTEN_FORMATS, write_mesh
 from esd.mesh.mesh import Mesh
@@ -43,7 +44,7 @@ LARGEST_MESH = 512 * 2**20
 LARGEST_OTHER = 4 * 2**20
 """Bytes of what is sent to the studio."""
 
-MIRRORS = ("auto", "yes", "no")
+MIRRORS = get_args(Mirror)
 DEFAULTS = {"model": "default", "mirror": "auto"}
 """What is chosen in a new project."""
 
@@ -233,7 +234,7 @@ class Studio:
         return self._changed()
 
     def _carry(self, source: ProjectShape, target: ProjectShape) -> None:
-        index = load_map(self.project.map_path(source.number, target.number)).target_index
+        index = self._map(source, target).target_index
         places = dict(zip(target.names, target.places, strict=True))
         for name, place in zip(source.names, source.places, strict=True):
             if index[place] >= 0:
@@ -289,7 +290,7 @@ class Studio:
             f"{stem}.html", lambda path: self._write_page(source, target, path)
         )
 
-    def _map(self, source: ProjectShape, target: ProjectShape) -> Any:
+    def _map(self, source: ProjectShape, target: ProjectShape) -> Correspondence:
         return load_map(self.project.map_path(source.number, target.number))
 
     def _mesh(self, shape: ProjectShape) -> Mesh:
@@ -348,19 +349,18 @@ class Studio:
         return JSONResponse({"version": self.jobs.version})
 
 
-def create_app(project: Project, *, token: str, port: int) -> ASGIApp:
+def create_app(studio: Studio, *, token: str, port: int) -> ASGIApp:
     """The studio as an application that a server runs; its page is at `/TOKEN/`.
 
     Parameters
     ----------
-    project
-        What is shown, and where all that happens is kept.
+    studio
+        Which answers; its jobs end with the application.
     token
         Without which nothing is answered.
     port
         Where the server listens; requests by other names are refused.
     """
-    studio = Studio(project)
     page, policy = _page()
 
     async def get_page(request: Request) -> Response:
@@ -396,7 +396,6 @@ def create_app(project: Project, *, token: str, port: int) -> ASGIApp:
         lifespan=lifespan,
         exception_handlers={InputError: _refused, HTTPException: _failed, OSError: _unwritten},  # type: ignore[dict-item]
     )
-    app.state.studio = studio
     return Guard(app, token=token, port=port, policy=policy)
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import uvicorn
 
 from esd.common import InputError
-from esd.studio.app import create_app
+from esd.studio.app import Studio, create_app
 from esd.studio.project import Project, check_mesh_name
 
 _ADDRESS = "127.0.0.1"
@@ -65,8 +65,8 @@ def serve(
         ) from error
     port = listener.getsockname()[1]
     token = secrets.token_urlsafe(24)
-    app = create_app(project, token=token, port=port)
-    studio = app._inner.state.studio  # type: ignore[attr-defined]
+    studio = Studio(project)
+    app = create_app(studio, token=token, port=port)
     numbers = []
     for shape in shapes:
         with tempfile.NamedTemporaryFile(dir=folder, prefix=".esd-", delete=False) as copy:

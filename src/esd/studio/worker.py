@@ -77,6 +77,7 @@ class _Memory:
     """What is kept from task to task, the least recently used features first."""
 
     models: dict[str, Model] = field(default_factory=dict)
+    drawn: OrderedDict[Path, Mesh] = field(default_factory=OrderedDict)
     shapes: OrderedDict[Path, Repaired] = field(default_factory=OrderedDict)
     features: OrderedDict[tuple[Path, str], Features] = field(default_factory=OrderedDict)
 
@@ -127,7 +128,7 @@ def _examined(task: Examine, memory: _Memory, report: Reporter) -> dict[str, Any
     vertices, faces = read_arrays(task.path)
     if len(faces) == 0:
         raise InputError("It has no faces; the studio shows meshes. Match points by esd match.")
-    drawable = usable_part((vertices, faces))
+    drawable = memory.drawn[task.path] = usable_part((vertices, faces))
     if not surface_area(drawable) > 0:
         raise InputError("Nothing can be drawn: its faces have no area.")
     _write_view(shape_scene(drawable, task.name), task.view)
@@ -188,7 +189,7 @@ def _matched(task: Match, memory: _Memory, report: Reporter) -> dict[str, Any]:
     )
     report("Writing")
     judged = found.judgement
-    drawn = [usable_part(path) for path in (task.source, task.target)]
+    drawn = [_drawn(memory, path) for path in (task.source, task.target)]
     figures: dict[str, Any] = {
         "model": model.name,
         "mirror": task.mirror,
@@ -221,6 +222,12 @@ def _model(memory: _Memory, name: str) -> Model:
     if name not in memory.models:
         memory.models[name] = load_model(name)
     return memory.models[name]
+
+
+def _drawn(memory: _Memory, path: Path) -> Mesh:
+    if path not in memory.drawn:
+        memory.drawn[path] = usable_part(path)
+    return _latest(memory.drawn, path)
 
 
 def _shape(memory: _Memory, path: Path) -> Repaired:

@@ -17,6 +17,7 @@ from esd.mesh.convert import MeshLike, as_mesh
 from esd.mesh.geodesics import geodesic_graph
 from esd.mesh.geometry import face_areas, is_referenced, surface_area, vertex_areas
 from esd.mesh.mesh import Mesh
+from esd.mesh.sampling import spread
 from esd.viewing.colours import UNMATCHED, VIRIDIS, position_colours
 
 AXES = ("x", "-x", "y", "-y", "z", "-z")
@@ -232,13 +233,7 @@ def _spread_matches(source: Mesh, match: Correspondence) -> IntArray:
     Each is the farthest from those before it, by Euclidean distance.
     """
     matched = np.flatnonzero(match.is_matched() & is_referenced(source))
-    points = source.vertices[matched]
-    chosen = np.zeros(min(_LINES, len(points)), dtype=np.int64)
-    distance = np.full(len(points), np.inf)
-    for i in range(1, len(chosen)):
-        np.minimum(distance, ((points - points[chosen[i - 1]]) ** 2).sum(axis=1), out=distance)
-        chosen[i] = distance.argmax()
-    return matched[chosen]
+    return matched[spread(source.vertices[matched], _LINES)] if len(matched) else matched
 
 
 def _verdict(judged: Judgement | None) -> dict[str, str] | None:
