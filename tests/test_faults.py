@@ -124,10 +124,10 @@ def test_long_commands_end_soon_without_a_word_of_their_processes(tmp_path, comm
     (tmp_path / "set").mkdir()
     (tmp_path / "tmp").mkdir()
     mesh = torus(60, 40)
-    for i in range(8):
-        bent = Mesh(mesh.vertices * (1, 1, 1 + 0.05 * i), mesh.faces)
+    for i in range(30):  # no command is done with them in the seconds below
+        bent = Mesh(mesh.vertices * (1, 1, 1 + 0.02 * i), mesh.faces)
         write_mesh(bent, tmp_path / "set" / f"{i}.off")
-    lines = [f"set/{i}.off,set/{j}.off\n" for i in range(8) for j in range(i)]
+    lines = [f"set/{i}.off,set/{j}.off\n" for i in range(30) for j in range(i)]
     (tmp_path / "pairs.csv").write_text("source,target\n" + "".join(lines))
     before = {path.name for path in tmp_path.iterdir()}
     process = subprocess.Popen(

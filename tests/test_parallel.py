@@ -6,6 +6,7 @@ import subprocess
 import sys
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -177,8 +178,38 @@ def test_a_scheduler_that_does_not_answer_is_waited_for_no_longer_than_the_patie
     async def in_a_notebook() -> None:
         list(outcomes(square, [1], workers=nobody))
 
-    with pytest.raises(InputError, match="No Dask scheduler answered"):
-        asyncio.run(in_a_notebook())
+    # in a thread of its own: other tests leave an event loop running in this one
+    with ThreadPoolExecutor(1) as pool:
+        found = pool.submit(asyncio.run, in_a_notebook())
+        with pytest.raises(InputError, match="No Dask scheduler answered"):
+            found.result()
+
+
+LARGE_RESULTS = """
+import sys, time
+import numpy as np
+from esd.parallel import Workers, outcomes
+
+def large(job):
+    return np.zeros(8_000_000 if job else 0)
+
+if __name__ == "__main__":
+    for turn in range(10):
+        found = outcomes(large, range(40), workers=Workers(2))
+        next(found)
+        time.sleep(0.03 * (turn % 4))  # so that the processes are at different things
+        found.close()
+"""
+
+
+def test_outcomes_may_be_left_while_large_results_are_on_their_way(tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text(LARGE_RESULTS)
+    done = subprocess.run(
+        [sys.executable, script], capture_output=True, text=True, check=False, timeout=120
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
 
 
 def test_side_by_side_no_job_takes_more_than_one_thread():

@@ -24,6 +24,7 @@ from concurrent.futures import (
 )
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from itertools import islice
 from multiprocessing import connection, get_context, parent_process
 from multiprocessing.connection import Connection
@@ -37,10 +38,12 @@ from threadpoolctl import ThreadpoolController, threadpool_limits
 from esd.common import InputError
 
 _log = logging.getLogger(__name__)
+_not_in_job = threading.Lock()  # in a process of a pool: held from the end of a job to the next
 
 _ADDRESS = r"((tcp|tls|ucx|ws|wss)://)?(\[[0-9a-fA-F:]+\]|[^\s/:]+):\d{1,5}"
 _SILENCE = 10  # seconds without workers after which this is said
 _DIED = "the process that computed it died, perhaps for lack of memory"
+_GLANCE = 0.1  # seconds between two looks whether the parent runs
 _QUEUED = 2  # jobs handed out for each worker: one at work, one that waits
 
 Job = TypeVar("Job")
@@ -224,7 +227,7 @@ def _pooled(
         initargs=(ended, root.level, form),
     )
     try:
-        yield from _handed_out(function, jobs, pool, lambda: processes)
+        yield from _handed_out(partial(_endable, function), jobs, pool, lambda: processes)
     except BaseException:
         end.close()  # which ends the processes at once: jobs that are queued would run on
         raise
@@ -383,16 +386,31 @@ def _start(ended: Connection, level: int, form: str | None) -> None:
     logging.basicConfig(level=level, format=form or "%(message)s")
 
 
+def _endable(function: Callable[[Job], Result], job: Job) -> Result:
+    """The result of a job in a process of a pool, which may be ended meanwhile."""
+    _not_in_job.release()
+    try:
+        return function(job)
+    finally:
+        _not_in_job.acquire()
+
+
 def _end_with_parent(ended: Connection) -> None:
     """Let this process end when its parent is killed, or closes the other end of a pipe.
 
-    It would wait for jobs for ever, or finish those that are queued.
+    It would wait for jobs for ever, or finish those that are queued. As long as the parent runs, it
+    ends only within a job: a result that is broken off would block the parent for ever.
     """
+    _not_in_job.acquire()
 
     def watch() -> None:
         parent = parent_process()
-        if parent is not None:
-            connection.wait([parent.sentinel, ended])
-            os._exit(1)
+        if parent is None:
+            return
+        connection.wait([parent.sentinel, ended])
+        while not _not_in_job.acquire(timeout=_GLANCE):
+            if connection.wait([parent.sentinel], 0):
+                break
+        os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
