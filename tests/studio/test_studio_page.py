@@ -1,9 +1,7 @@
-import os
 import re
-import signal
-import subprocess
-import sys
+from io import BytesIO
 
+import numpy as np
 import pytest
 
 pytest.importorskip("starlette", reason="the extra 'studio' is not installed")
@@ -11,84 +9,371 @@ pytest.importorskip("uvicorn", reason="the extra 'studio' is not installed")
 
 from esd.mesh.io.meshes import write_mesh
 from esd.mesh.mesh import Mesh
-from esd.mesh.shapes import subdivide, torus
+from esd.mesh.shapes import subdivide
+from studio_browser import Server, Tab, bent, write_pair
+
+HTML = "<img src=x onerror=alert(1)>"
+PLACES = ((0.36, 0.3), (0.7, 0.5), (0.36, 0.68), (0.14, 0.5))
+"""Of landmarks, in shares of half of the stage: the torus has a hole in the middle."""
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory):
+    found = Server(tmp_path_factory.mktemp("studio") / "project")
+    yield found
+    found.kill()
 
 
 @pytest.fixture
-def start(tmp_path):
-    """Start the studio on a project; the process and its address."""
-    started = []
-
-    def run():
-        command = [sys.executable, "-m", "esd", "studio", "--no-browser", "--project", "p"]
-        process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True)
-        started.append(process)
-        return process, re.search(r"http://\S+", process.stdout.readline())[0]
-
-    yield run
-    for process in started:
-        process.kill()
-        process.wait()
-        process.stdout.close()
+def opened(browser, server):
+    """The page; that the browser does not complain is checked."""
+    tab = Tab(browser, server.address)
+    yield tab
+    tab.close()
+    assert tab.complaints == []
 
 
 @pytest.fixture
-def files(tmp_path):
-    """Two closed surfaces without symmetry; the name of one is HTML."""
-    mesh = subdivide(torus(32, 16))
-    x, y, z = mesh.vertices.T
-    paths = []
-    for name, scale in (("<img src=x onerror=alert(1)>.off", 1.0), ("b.off", 1.1)):
-        bent = mesh.vertices * (1 + 0.3 * x + 0.2 * y * z)[:, None] * [1, 1, scale]
-        write_mesh(Mesh(bent, mesh.faces), tmp_path / name)
-        paths.append(tmp_path / name)
-    return paths
+def tab(opened):
+    """The page of a project without shapes."""
+    opened.empty()
+    return opened
 
 
-def test_from_files_to_a_corrected_map_that_survives_a_kill(browser, start, files):
-    playwright = pytest.importorskip("playwright.sync_api")
-    process, address = start()
-    tab = browser.new_context(viewport={"width": 1400, "height": 800}).new_page()
-    complaints = []
-    tab.on("console", lambda message: complaints.append(message.text))
-    tab.on("pageerror", lambda error: complaints.append(str(error)))
-    tab.goto(address)
-    tab.set_input_files("#files", files)
-    tab.wait_for_selector("html[data-shown^=map]", timeout=120_000)
-    assert "<img src=x" in tab.inner_text("#shapes")
-    assert tab.is_visible("#verdict")
+@pytest.fixture
+def matched(opened, tmp_path):
+    """The page with a map of two shapes without landmarks; the name of one is HTML."""
+    names = [f"{HTML}.off", "b.off"]
+    state = opened.state()
+    if [shape["name"] for shape in state["shapes"]] == names and state["maps"]:
+        for shape in state["shapes"]:  # as the last test left it
+            body = {"names": [], "places": []}
+            opened.ask("PUT", f"shapes/{shape['number']}/landmarks", body)
+        opened.page.reload()
+    else:
+        opened.empty()
+        opened.add(*write_pair(tmp_path, tuple(names)))
+    opened.wait_for_map()
+    opened.until_idle()
+    return opened
 
-    # the target is turned onto the source: the same places lie half the width to the right
-    tab.click("#landmark-add")
-    box = tab.locator("#view").bounding_box()
-    for share in (0.06, 0.14, 0.36, 0.42):  # of the width: the torus has a hole in the middle
-        for side in (0, 0.5):
-            tab.mouse.click(box["x"] + (side + share) * box["width"], box["y"] + box["height"] / 2)
-    landmarks = tab.locator("#landmark-list li")
-    count = -1
-    while count != landmarks.count():  # the list follows the clicks with some delay
-        count = landmarks.count()
-        tab.wait_for_timeout(1000)
-    tab.keyboard.press("Escape")
-    assert count >= 3
-    tab.click("#landmark-undo")
-    playwright.expect(landmarks).to_have_count(count - 1)
-    tab.click("#landmark-redo")
-    playwright.expect(landmarks).to_have_count(count)
-    before = tab.get_attribute("html", "data-shown")
-    tab.click("#rematch")
-    tab.wait_for_function(
-        "(before) => document.documentElement.dataset.shown !== before", arg=before, timeout=120_000
+
+def click_landmarks(tab, count=4):
+    """Click pairs of places; the target is turned onto the source, so that they belong together."""
+    tab.page.click("#landmark-add")
+    for k, place in enumerate(PLACES[:count]):
+        for side in ("source", "target"):
+            tab.click(side, *place)
+        tab.until(lambda k=k: len(tab.landmarks()) == k + 1, 10)
+    tab.page.keyboard.press("Escape")
+    tab.until(lambda: len(tab.state()["shapes"][0]["places"]) == count, 10)
+
+
+def test_two_files_that_are_dropped_are_matched(tab, tmp_path):
+    assert tab.page.is_visible("#empty")
+    tab.drop(*write_pair(tmp_path))
+    tab.wait_for_map()
+    assert tab.page.is_hidden("#empty")
+    assert tab.page.is_visible("#verdict")
+    assert re.search(r"2,048 of 2,048 vertices", tab.page.inner_text("#statistics"))
+    assert tab.page.locator("#shapes > li").count() == 2
+
+
+def test_a_folder_that_is_dropped_brings_its_meshes(tab, tmp_path):
+    folder = tmp_path / "set"
+    write_pair(folder / "inner")
+    (folder / "notes.txt").write_text("no mesh")
+    (folder / ".hidden.off").write_text("no mesh either")
+    tab.drop(folder)
+    tab.wait_for_map()
+    assert tab.page.locator("#shapes > li").count() == 2
+    assert "notes.txt" in tab.page.inner_text("#message")
+    tab.drop(folder / "notes.txt")
+    tab.until(lambda: "not a mesh" in tab.page.inner_text("#message"), 10)
+
+
+def test_pointing_at_a_shape_shows_the_match(matched):
+    page = matched.page
+    page.mouse.move(*matched.at("source", 0.7, 0.5))
+    matched.until(lambda: page.inner_text("#readout"), 10)
+    shown = re.match(
+        r"source vertex (\d+) → target vertex (\d+) · confidence", page.inner_text("#readout")
     )
-    with tab.expect_download() as saved:
-        tab.click("#export-map")
-    assert saved.value.path().read_text().startswith("source,target")
-    assert complaints == []
+    assert shown[1] == shown[2]
+    assert page.locator("#marks circle").count() == 2
+    page.mouse.move(*matched.at("source", 0.01, 0.01))
+    matched.until(lambda: not page.inner_text("#readout"), 10)
+
+
+def test_landmarks_are_clicked_dragged_named_and_undone(matched):
+    page = matched.page
+    click_landmarks(matched)
+    first = matched.landmarks()
+    assert [name for name, _, _ in first] == ["1", "2", "3", "4"]
+    assert len({source for _, source, _ in first}) == 4
+
+    # drag the pin of the first on the target a little
+    pins = matched.pins()
+    half = matched.at("target", 0, 0)[0]
+    x, y = next(pin for pin in pins if pin[0] > half)
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x + 5, y + 60, steps=6)
+    page.mouse.up()
+    matched.until(lambda: matched.landmarks() != first, 10)
+    dragged = matched.landmarks()
+    assert dragged[0][:2] == first[0][:2]
+    assert dragged[0][2] != first[0][2]
+    assert dragged[1:] == first[1:]
+
+    page.keyboard.press("Control+z")
+    matched.until(lambda: matched.landmarks() == first, 10)
+    page.keyboard.press("Control+Shift+z")
+    matched.until(lambda: matched.landmarks() == dragged, 10)
+    page.click("#landmark-undo")
+    matched.until(lambda: matched.landmarks() == first, 10)
+
+    # names, of which HTML is one like any other
+    name = page.locator("#landmark-list input[type=text]").first
+    name.fill(HTML)
+    name.press("Enter")
+    matched.until(lambda: matched.state()["shapes"][1]["names"][0] == HTML, 10)
+    label = page.locator("#marks text").first
+    matched.until(lambda: label.inner_html().startswith("&lt;img"), 10)
+    name.fill("2")
+    name.press("Enter")
+    matched.until(lambda: "has this name" in page.inner_text("#message"), 10)
+
+    # a vertex that is typed, and one that there is not
+    vertex = page.locator("#landmark-list input[type=number]").nth(1)
+    vertex.fill("7")
+    vertex.press("Enter")
+    matched.until(lambda: matched.state()["shapes"][1]["places"][0] == 7, 10)
+    vertex = page.locator("#landmark-list input[type=number]").nth(1)
+    vertex.fill("99999")
+    vertex.press("Enter")
+    matched.until(lambda: "vertices from 0 to 2047" in page.inner_text("#message"), 10)
+    page.locator("#landmark-list button").last.click()
+    matched.until(lambda: len(matched.landmarks()) == 3, 10)
+    matched.until(lambda: len(matched.state()["shapes"][0]["places"]) == 3, 10)
+
+
+def test_a_place_is_suggested(matched):
+    page = matched.page
+    page.keyboard.press("s")
+    page.wait_for_selector("#marks .pin")
+    page.wait_for_timeout(700)
+    assert "least sure" in page.inner_text("#landmark-hint")
+    matched.click("target", 0.5, 0.5)  # the camera flew to the place on both
+    matched.until(lambda: len(matched.landmarks()) == 1, 10)
+    page.keyboard.press("Escape")
+
+
+def test_landmark_files_are_saved_and_loaded(matched, tmp_path):
+    page = matched.page
+    click_landmarks(matched)
+    rows = matched.landmarks()
+    page.click("#landmarks summary")
+    for suffix in (".csv", ".fcsv", ".mrk.json", ".pts", ".tps"):
+        page.select_option("#landmark-format", suffix)
+        path = tmp_path / f"marks{suffix}"
+        path.write_bytes(matched.saved("#store-source"))
+        while matched.landmarks():
+            count = len(matched.landmarks())
+            page.locator("#landmark-list button").first.click()
+            matched.until(lambda count=count: len(matched.landmarks()) < count, 10)
+        with page.expect_file_chooser() as chooser:
+            page.click("#load-source")
+        chooser.value.set_files(path)
+        matched.until(lambda: len(matched.landmarks()) == 4, 10)
+        assert [(name, v) for name, v, _ in matched.landmarks()] == [(n, v) for n, v, _ in rows]
+    (tmp_path / "no.csv").write_text("nothing")
+    with page.expect_file_chooser() as chooser:
+        page.click("#load-target")
+    chooser.value.set_files(tmp_path / "no.csv")
+    matched.until(lambda: "landmarks.csv" in page.inner_text("#message"), 10)
+    # what the browser reports of an answer that refuses
+    assert all("400" in line for line in matched.complaints)
+    matched.complaints.clear()
+
+
+def test_landmarks_are_carried_and_the_pair_is_matched_again(matched):
+    page = matched.page
+    click_landmarks(matched)
+    for row in range(4):
+        vertex = page.locator("#landmark-list input[type=number]").nth(2 * row + 1)
+        vertex.fill("")
+        vertex.press("Enter")
+        matched.until(lambda row=row: matched.landmarks()[row][2] == "", 10)
+    assert page.is_disabled("#rematch")
+    page.click("#landmarks summary")
+    page.click("#carry")
+    matched.until(lambda: all(target for _, _, target in matched.landmarks()), 10)
+    assert [source == target for _, source, target in matched.landmarks()].count(True) >= 3
+    before = page.get_attribute("html", "data-shown")
+    page.click("#rematch")
+    matched.wait_for_map(before)
+    assert matched.state()["maps"][0]["landmarks"] == ["1", "2", "3", "4"]
+
+
+def test_a_job_is_cancelled(tab, tmp_path):
+    write_mesh(subdivide(subdivide(bent())), tmp_path / "large.off")
+    tab.add(tmp_path / "large.off")
+    tab.page.click("#jobs button[aria-label^=Cancel]", timeout=60_000)
+    tab.until(lambda: tab.page.locator("#shapes > li").count() == 0)
+    assert tab.state()["jobs"][-1]["state"] == "cancelled"
+    tab.add(*write_pair(tmp_path))  # the next ones are done
+    tab.wait_for_map()
+
+
+def test_findings_are_shown_where_they_are_and_repaired_on_request(tab, tmp_path):
+    mesh = bent()
+    faces = np.concatenate([mesh.faces[:-40], mesh.faces[:3, [0, 2, 1]]])  # a hole; doubled faces
+    write_mesh(Mesh(mesh.vertices, faces), tmp_path / "torn.off")
+    tab.add(tmp_path / "torn.off")
+    tab.page.wait_for_selector("#shapes summary")
+    tab.page.click("#shapes summary")
+    tab.page.wait_for_selector("html[data-shown^=shapes]")
+    before = tab.picture()
+    show = tab.page.locator("#shapes button[aria-label^='Show where']")
+    assert show.count() >= 1
+    show.first.click()
+    tab.page.wait_for_timeout(700)
+    assert np.abs(tab.picture() - before).mean() > 1
+    red = tab.picture()
+    assert ((red[..., 0] > 150) & (red[..., 1] < 90)).any()
+    tab.page.click("#shapes button[aria-label^=Repair]")
+    tab.until(lambda: tab.page.locator("#shapes > li").count() == 2)
+    tab.until_idle()
+    shapes = tab.state()["shapes"]
+    assert shapes[1]["name"] == "torn-repaired.ply"
+    assert len(shapes[1]["findings"]) < len(shapes[0]["findings"])
+
+
+def test_all_pairs_of_several_shapes_are_in_the_gallery(tab, tmp_path):
+    for k in range(3):
+        write_mesh(bent(1 + 0.1 * k), tmp_path / f"m{k}.off")
+    tab.add(*(tmp_path / f"m{k}.off" for k in range(3)))
+    tab.until(lambda: [s["vertices"] for s in tab.state()["shapes"]] == [2048] * 3)
+    tab.page.click("#match-all")
+    tab.until(lambda: len(tab.state()["maps"]) == 3)
+    buttons = tab.page.locator("#maps button")
+    tab.until(lambda: buttons.count() == 3, 10)
+    accuracies = [m["expected_accuracy"] for m in tab.state()["maps"]]
+    assert accuracies == sorted(accuracies)
+    buttons.last.click()
+    tab.page.wait_for_selector("#maps button[aria-current=true]")
+    assert buttons.last.get_attribute("aria-current") == "true"
+    tab.wait_for_map()
+    # landmarks of the source go to all
+    tab.page.select_option("#source", label="m0.off")
+    number = tab.state()["shapes"][0]["number"]
+    tab.ask("PUT", f"shapes/{number}/landmarks", {"names": ["nose", "tail"], "places": [5, 900]})
+    tab.page.click("#carry-all")
+    tab.until(lambda: [s["names"] for s in tab.state()["shapes"]] == [["nose", "tail"]] * 3, 10)
+
+
+def test_everything_is_exported(matched, tmp_path):
+    page = matched.page
+    assert matched.saved("#export-map").startswith(b"source,target")
+    for suffix, start in ((".obj", b""), (".off", b"OFF"), (".glb", b"glTF"), (".ply", b"ply")):
+        page.select_option("#mesh-format", suffix)
+        assert matched.saved("#export-mesh").startswith(start)
+    click_landmarks(matched)
+    page.click("#landmarks summary")
+    assert matched.saved("#store-target").count(b"\n") == 5
+
+    from PIL import Image
+
+    picture = np.asarray(Image.open(BytesIO(matched.saved("#export-picture"))))
+    assert picture.shape[2] == 4
+    assert picture[0, 0, 3] == 0
+    assert 0.1 < (picture[..., 3] == 255).mean() < 0.9
+    page.wait_for_timeout(300)
+    (tmp_path / "page.html").write_bytes(matched.saved("#export-page"))
+    mailed = matched.context.new_page()
+    mailed.goto((tmp_path / "page.html").as_uri())
+    mailed.wait_for_selector("html[data-ready]")
+    assert mailed.is_visible("#verdict")
+    assert HTML in mailed.inner_text("#source-name")
+    mailed.close()
+
+
+def test_a_studio_that_was_killed_resumes(browser, tmp_path):
+    server = Server(tmp_path / "project")
+    tab = Tab(browser, server.address)
+    try:
+        tab.add(*write_pair(tmp_path / "files"))
+        tab.wait_for_map()
+        click_landmarks(tab)
+        rows = tab.landmarks()
+        verdict = tab.page.inner_text("#verdict")
+        tab.add(tmp_path / "files" / "a.off")  # is being examined when the server is killed
+        tab.until(lambda: len(tab.state()["shapes"]) == 3, 10)
+        server.kill()
+        tab.until(lambda: "does not answer" in tab.page.inner_text("#message"), 20)
+        server.start()
+        again = Tab(browser, server.address)
+        again.wait_for_map()
+        assert again.landmarks() == rows
+        assert again.page.inner_text("#verdict") == verdict
+        again.until(lambda: again.state()["shapes"][2]["vertices"] == 2048)
+        assert again.complaints == []
+        again.close()
+    finally:
+        tab.close()
+        server.kill()
+
+
+def test_a_browser_without_webgl_is_told_and_still_matches(browser, server, tmp_path):
+    first = Tab(browser, server.address)
+    first.empty()
+    first.context.add_init_script("HTMLCanvasElement.prototype.getContext = () => null")
+    first.page.reload()
+    first.page.wait_for_selector("#failure")
+    assert "WebGL 2" in first.page.inner_text("#failure")
+    first.add(*write_pair(tmp_path))
+    first.until(lambda: len(first.state()["maps"]) == 1)
+    first.page.wait_for_selector("#export-map")
+    assert first.saved("#export-map").startswith(b"source,target")
+    assert first.complaints == []
+    first.close()
+
+
+def test_on_a_phone_and_in_the_dark(browser, server, tmp_path):
+    phone = {"viewport": {"width": 390, "height": 844}, "is_mobile": True, "has_touch": True}
+    tab = Tab(browser, server.address, **phone, color_scheme="dark")
+    tab.empty()
+    tab.add(*write_pair(tmp_path))
+    tab.wait_for_map()
+    assert tab.page.is_hidden("#panel")
+    assert tab.picture()[-1, 0].sum() < 150
+    box = tab.page.locator("#view").bounding_box()
+    tab.page.touchscreen.tap(box["width"] * 0.7, box["height"] * 0.25)
+    tab.until(lambda: "source vertex" in tab.page.inner_text("#readout"), 10)
+    tab.page.click("#panel-button")
+    assert tab.page.is_visible("#work")
+    assert tab.page.is_visible("#landmark-add")
+    assert tab.page.locator("#view").bounding_box()["height"] > 0.4 * 844
+    wide = tab.page.evaluate("() => document.documentElement.scrollWidth")
+    assert wide == 390
+    assert tab.complaints == []
     tab.close()
 
-    os.kill(process.pid, signal.SIGKILL)
-    process.wait()
-    again = browser.new_context().new_page()
-    again.goto(start()[1])
-    again.wait_for_selector("html[data-shown^=map]", timeout=60_000)
-    assert again.locator("#landmark-list li").count() == count
+
+def test_every_control_has_a_name_and_shows_the_focus(matched):
+    page = matched.page
+    unnamed = page.evaluate(
+        "() => [...document.querySelectorAll('input, select, button, canvas')].filter((e) =>"
+        " !(e.labels?.length || e.getAttribute('aria-label') || e.textContent.trim()))"
+        ".map((e) => e.outerHTML)"
+    )
+    assert unnamed == []
+    page.locator("#add").focus()
+    for _ in range(25):
+        page.keyboard.press("Tab")
+        outline = page.evaluate(
+            "() => { const e = document.activeElement; return getComputedStyle("
+            "e.type === 'radio' ? e.nextElementSibling : e).outlineStyle; }"
+        )
+        assert outline == "solid"

@@ -118,6 +118,10 @@ def test_the_verdict_is_the_map_s_own_or_follows_from_the_confidence(blob):
     own = identity(blob, judgement=Judgement("failed", 0.2, 0.1, {"embedding": 1.0}, True))
     shown = scene(blob, blob, own)
     assert shown.meta["verdict"]["advice"].startswith("The map is not to be trusted")
+    own = Judgement("failed", 0.2, 1.0, unmatched=0.3, not_repaired="two holes")
+    advice = scene(blob, blob, identity(blob, judgement=own)).meta["verdict"]["advice"]
+    assert "30% of the source" in advice
+    assert advice.endswith("Not repaired: two holes.")
     assert ("Candidate", "embedding") in shown.meta["statistics"]
     assert ("Mirrored", "the source, before it was matched") in shown.meta["statistics"]
     unknown = identity(blob, confidence=np.full(len(blob.vertices), np.nan))

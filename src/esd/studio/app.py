@@ -31,7 +31,7 @@ from esd.learning.model import ALIASES, bundled_models
 from esd.matching.correspondence import MAP_SUFFIXES, Correspondence, load_map, save_map
 from esd.matching.match import Mirror
 from esd.mesh.io.landmarks import LANDMARK_FORMATS, Landmarks, read_landmarks, write_landmarks
-from esd.mesh.io.meshes import WRITTEN_FORMATS, write_mesh
+from esd.mesh.io.meshes import FORMATS, WRITTEN_FORMATS, write_mesh
 from esd.mesh.mesh import Mesh
 from esd.mesh.repair.repair import usable_part
 from esd.studio.guard import Guard
@@ -149,6 +149,7 @@ class Studio:
             ],
             "settings": self._settings(),
             "models": [*ALIASES, *bundled_models()],
+            "formats": list(FORMATS),
         }
 
     # what the page asks for

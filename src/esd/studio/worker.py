@@ -17,7 +17,6 @@ import numpy as np
 
 from esd.common import InputError, IntArray, whole_file
 from esd.learning.model import Model, load_model
-from esd.matching.confidence import ADVICE
 from esd.matching.correspondence import save_map
 from esd.matching.features import Features
 from esd.matching.landmarks import paired_landmarks
@@ -194,7 +193,7 @@ def _matched(task: Match, memory: _Memory, report: Reporter) -> dict[str, Any]:
         "model": model.name,
         "mirror": task.mirror,
         "verdict": judged.verdict if judged else None,
-        "advice": ADVICE[judged.verdict] if judged else "",
+        "advice": judged.advice if judged else "",
         "expected_accuracy": judged.expected_accuracy if judged else None,
         "coverage": found.coverage(len(drawn[1].vertices)),
         "matched": int(found.is_matched().sum()),

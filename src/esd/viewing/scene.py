@@ -10,7 +10,7 @@ import numpy.typing as npt
 from scipy.spatial import KDTree
 
 from esd.common import BoolArray, FloatArray, InputError, IntArray
-from esd.matching.confidence import ADVICE, Judgement, judgement
+from esd.matching.confidence import Judgement, judgement
 from esd.matching.correspondence import Correspondence
 from esd.matching.transfer import aligned_image, aligning_rotation
 from esd.mesh.convert import MeshLike, as_mesh
@@ -240,7 +240,7 @@ def _verdict(judged: Judgement | None) -> dict[str, str] | None:
     if judged is None:
         return None
     share = f"about {judged.expected_accuracy:.0%} within 5 % of the diameter"
-    return {"word": judged.verdict, "share": share, "advice": ADVICE[judged.verdict]}
+    return {"word": judged.verdict, "share": share, "advice": judged.advice}
 
 
 def _statistics(

@@ -9,7 +9,7 @@ const element = (id) => document.getElementById(id);
 const stage = element("stage");
 const empty = element("empty");
 
-let state = { version: -1, shapes: [], maps: [], jobs: [], settings: {}, models: [] };
+let state = { version: -1, shapes: [], maps: [], jobs: [], settings: {}, models: [], formats: [] };
 let pair = { source: 0, target: 0 }; // numbers of the shapes that are shown
 let shown = ""; // what is on the stage
 const dismissed = new Set(); // jobs whose failure was read
@@ -64,8 +64,13 @@ const showPair = guarded(async () => {
   empty.hidden = ready.length > 0;
   element("export").hidden = !map;
   landmarks?.show(state.version, ...(ready.length === 2 ? ready : []));
-  if (!viewer || key === shown || !ready.length) return;
+  if (!viewer || key === shown) return;
   shown = key;
+  if (!ready.length) {
+    viewer.load({ meta: { up: "y" }, arrays: {} });
+    delete document.documentElement.dataset.shown;
+    return;
+  }
   const scene = map ? await askScene(`maps/${pair.source}/${pair.target}/view`) : await bareScene(ready);
   if (shown !== key) return; // something else is wanted by now
   viewer.mark({});
@@ -207,9 +212,13 @@ const match = guarded(async (withLandmarks, { source, target } = pair) => {
   await ask("matches", { method: "POST", json: { source, target, landmarks: withLandmarks } });
 });
 
+const isMesh = ({ name }) => state.formats.some((suffix) => [suffix, `${suffix}.gz`].some((end) => name.toLowerCase().endsWith(end)));
+
 const addFiles = guarded(async (files) => {
   const numbers = [];
-  for (const file of files) {
+  const others = files.filter((file) => !isMesh(file)).map(({ name }) => name);
+  if (others.length) say(`Left out, since not a mesh: ${others.slice(0, 5).join(", ")}${others.length > 5 ? ", …" : ""}.`);
+  for (const file of files.filter(isMesh)) {
     const added = await guarded(() => ask(`shapes?name=${encodeURIComponent(file.name)}`, { method: "POST", body: file }))();
     if (added) numbers.push(added.number);
   }
@@ -225,6 +234,7 @@ async function follow() {
       state = await ask(`state?after=${state.version}`);
       pause = 0;
       draw();
+      document.documentElement.dataset.following = "true";
     } catch (error) {
       say(error.message);
       pause = 2000;

@@ -209,6 +209,6 @@ export function connectPanel(viewer, { keys: more = {} } = {}) {
 
 export function showFailure(stage) {
   const text = "Shapes cannot be shown: this needs WebGL 2, which this browser does not offer or has switched off.";
-  stage.replaceChildren(made("p", text, { id: "failure" }));
+  stage.querySelector("canvas").replaceWith(made("p", text, { id: "failure" }));
   document.documentElement.dataset.ready = "true";
 }

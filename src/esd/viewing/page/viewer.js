@@ -155,8 +155,10 @@ export function createViewer(stage, on = {}) {
       label.style.top = `${box.y}px`;
       label.style.maxWidth = `${box.width}px`;
     }
+    const before = distance();
     camera.aspect = Math.max(source.box.width, 1) / Math.max(source.box.height, 1);
     camera.updateProjectionMatrix();
+    if (controls) nearer(distance() / before); // what was seen is still seen where a box is narrower
     controls?.handleResize();
     draw();
   }
@@ -237,10 +239,14 @@ export function createViewer(stage, on = {}) {
     if (!frame) frame = requestAnimationFrame(render);
   }
 
-  function render() {
-    frame = 0;
+  function updateCamera() {
     controls?.update();
     camera.updateMatrixWorld();
+  }
+
+  function render() {
+    frame = 0;
+    updateCamera();
     paintStage(getComputedStyle(document.body).backgroundColor, 1);
     drawMarks();
     document.documentElement.dataset.ready = "true";
@@ -333,6 +339,7 @@ export function createViewer(stage, on = {}) {
   function pick(x, y) {
     const shape = boxAt(x, y);
     if (!shape) return null;
+    if (frame) updateCamera(); // it moved since what is seen was drawn
     const { box } = shape;
     const at = new THREE.Vector2((2 * (x - box.x)) / box.width - 1, 1 - (2 * (y - box.y)) / box.height);
     const ray = new THREE.Raycaster();
