@@ -39,6 +39,10 @@ if TYPE_CHECKING:
     from esd.mesh.repair.diagnose import diagnose as diagnose
     from esd.mesh.repair.repair import repair as repair
     from esd.parallel import Workers as Workers
+    from esd.population.atlas import atlas as atlas
+    from esd.population.shape_model import ShapeModel as ShapeModel
+    from esd.population.shape_model import load_shape_model as load_shape_model
+    from esd.population.shape_model import save_shape_model as save_shape_model
     from esd.registration.register import register as register
     from esd.spectral.spectrum import Spectrum as Spectrum
     from esd.spectral.spectrum import spectrum as spectrum
@@ -57,7 +61,9 @@ _HOMES = {
     "PointCloud": "esd.mesh.mesh",
     "Spectrum": "esd.spectral.spectrum",
     "Workers": "esd.parallel",
+    "ShapeModel": "esd.population.shape_model",
     "as_mesh": "esd.mesh.convert",
+    "atlas": "esd.population.atlas",
     "diagnose": "esd.mesh.repair.diagnose",
     "evaluate": "esd.evaluation.protocol",
     "geodesic_distances": "esd.mesh.geodesics",
@@ -65,6 +71,7 @@ _HOMES = {
     "hks": "esd.descriptors.hks",
     "load_map": "esd.matching.correspondence",
     "load_model": "esd.learning.model",
+    "load_shape_model": "esd.population.shape_model",
     "match": "esd.matching.match",
     "open_collection": "esd.datasets.open",
     "preset": "esd.learning.presets",
@@ -73,6 +80,7 @@ _HOMES = {
     "repair": "esd.mesh.repair.repair",
     "save_map": "esd.matching.correspondence",
     "save_model": "esd.learning.model",
+    "save_shape_model": "esd.population.shape_model",
     "spectrum": "esd.spectral.spectrum",
     "train": "esd.learning.fit:fit",
     "transfer": "esd.matching.along",

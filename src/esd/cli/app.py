@@ -11,6 +11,7 @@ from typing import NoReturn
 
 import typer
 
+from esd.cli.atlas import atlas
 from esd.cli.batch import batch
 from esd.cli.cache import cache
 from esd.cli.data import data
@@ -62,6 +63,11 @@ _EXAMPLES: dict[Callable[..., None], tuple[str, ...]] = {
     register: (
         "esd register template.ply scan.ply -o registered.ply",
         "esd register template.obj scan.ply --map map.csv -o registered.obj",
+    ),
+    atlas: (
+        "esd atlas FOLDER -o atlas",
+        "esd atlas FOLDER -o atlas --template template.ply --landmarks FOLDER/landmarks",
+        "esd atlas FOLDER -o atlas --train",
     ),
     export: (
         "esd export a.ply b.ply map.csv -o a-matched.vtp",

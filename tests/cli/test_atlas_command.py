@@ -1,0 +1,71 @@
+"""`esd atlas`."""
+
+import json
+
+import numpy as np
+import pytest
+
+from command import run
+from esd.mesh.io.meshes import write_mesh
+from esd.mesh.mesh import Mesh
+from esd.mesh.shapes import icosphere
+
+
+@pytest.fixture
+def ellipsoids(tmp_path):
+    """Five meshes of one connectivity, and their folder."""
+    sphere = icosphere(2)
+    for i in range(5):
+        write_mesh(
+            Mesh(sphere.vertices * [1 + 0.1 * i, 1, 1], sphere.faces), tmp_path / "in" / f"e{i}.off"
+        )
+    return tmp_path / "in"
+
+
+def test_an_atlas_of_registered_meshes_is_written_and_replaced_only_by_itself(ellipsoids, tmp_path):
+    out = tmp_path / "out"
+    done = run("atlas", ellipsoids, "-o", out, "--registered", "--json")
+    summary = json.loads(done.stdout)
+    assert (summary["shapes"], summary["left_out"], summary["outliers"]) == (5, {}, [])
+    assert summary["explained"][0] > 0.99
+    assert len((out / "scores.csv").read_text().splitlines()) == 6
+    again = run("atlas", ellipsoids, "-o", out, "--registered", "--modes", 1)
+    assert "5 shapes registered to 'e0'; 1 of 1 modes explain" in again.stdout
+    with np.load(out / "model.npz") as model:
+        assert model["modes"].shape == (1, 162, 3)
+    other = run("atlas", ellipsoids, "-o", out, expect=1)
+    assert "holds an atlas with another template and model" in other.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (["in", "-o", "in/out"], 1, "lie one in the other"),
+        (["in", "-o", "in"], 1, "lie one in the other"),
+        (["in", "-o", "."], 1, "lie one in the other"),
+        (["in", "-o", "full"], 1, "give --force to replace it"),
+        (["in", "-o", "full/a.txt"], 1, "is a file"),
+        (["in", "-o", "full/a.txt/out"], 1, "is a file, not a folder"),
+        (["none", "-o", "out"], 1, "no data set 'none'"),
+        (["in", "-o", "out", "--include", "x*"], 1, "No shape of"),
+        (["in", "-o", "out", "--include", "e0", "--registered"], 1, "needs 3 shapes or more"),
+        (["in", "-o", "out", "--include", "e[01]"], 1, "needs 3 shapes or more"),
+        (["in", "-o", "out", "--template", "none.ply"], 1, "There is no file 'none.ply'"),
+        (["in", "-o", "out", "--landmarks", "none"], 1, "no folder of landmarks"),
+        (["in", "-o", "out", "--model", "none"], 1, "none"),
+        (["in", "-o", "out", "--train", "--model", "default"], 2, "not both"),
+        (["in", "-o", "out", "--registered", "--train"], 2, "matches nothing"),
+        (["in"], 2, "output"),
+    ],
+)
+def test_what_cannot_be_done_is_refused_before_anything_is(
+    ellipsoids, tmp_path, monkeypatch, arguments, code, message
+):
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "a.txt").write_text("kept")
+    monkeypatch.chdir(tmp_path)
+    done = run("atlas", *arguments, expect=code)
+    assert message in " ".join(done.stderr.split())
+    assert (tmp_path / "full" / "a.txt").read_text() == "kept"
+    assert not (tmp_path / "out" / "scores.csv").exists()
+    assert len(list(ellipsoids.iterdir())) == 5
