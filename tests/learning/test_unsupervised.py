@@ -7,47 +7,23 @@ import pytest
 from esd.common import InputError
 from esd.datasets.collection import Collection, Shape
 from esd.datasets.deformation import deformed
-from esd.descriptors.recipe import Descriptor, Recipe, gradient_recipe
 from esd.learning.model import load_model, save_model
 from esd.learning.presets import Training, preset
 from esd.learning.samples import collection_samples, moments, shape_samples
 from esd.mesh.geometry import surface_area
 from esd.mesh.io.landmarks import Landmarks
 from esd.mesh.mesh import Mesh
-from esd.mesh.shapes import icosphere, torus
+from esd.mesh.shapes import torus
 from esd.nearest import nearest
+from knobbed import RECIPE, knobbed, order_of, truth
 
 pytest.importorskip("torch", reason="training needs the extra `train`")
 from esd.learning.unsupervised import Teaching, train_unsupervised
 
-RECIPE = Recipe(
-    (
-        Descriptor("hks", 20, log=True),
-        Descriptor("wks", 20, log=True),
-        gradient_recipe("chirality", "hks", columns=range(0, 20, 4), reach=2, times=(4e-3, 1.6e-2)),
-    ),
-    eigenpairs=60,
-)
 TRAINING = Training(RECIPE, hidden=(64,), outputs=16, limit=8.0, dropout=0.2, loss="infonce")
 TEACHING = Teaching(
     steps=60, points=642, drawn=500, batch=250, copies=2, learning_rate=1e-2, validate_every=30
 )
-
-
-def knobbed(seed: int) -> Mesh:
-    """A ball with four knobs of different size and place, deformed; its vertices are shuffled."""
-    ball = icosphere(3)
-    knobs = np.array([[1, 0, 0], [0, 1, 0.2], [0.2, -0.5, 1], [-0.6, -0.6, -0.6]], dtype=float)
-    knobs /= np.linalg.norm(knobs, axis=1, keepdims=True)
-    closeness = np.exp(12 * (ball.vertices @ knobs.T - 1)) @ np.array([3.0, 2.0, 1.2, 2.5])
-    limbs = Mesh(ball.vertices * (1 + closeness[:, None]), ball.faces)
-    mesh = deformed(limbs, seed=seed, strain=0.1)
-    order = order_of(seed)
-    return Mesh(mesh.vertices[order], np.argsort(order)[mesh.faces])
-
-
-def order_of(seed: int) -> np.ndarray:
-    return np.random.default_rng(seed).permutation(642)
 
 
 def shape(seed: int, *, template: str | None = None) -> Shape:
@@ -67,8 +43,8 @@ def error(model, first: int, second: int) -> float:
     """Mean distance of the nearest embeddings from the truth; the shapes are about six wide."""
     source, target = knobbed(first), knobbed(second)
     found, _ = nearest(model.embed_mesh(source), model.embed_mesh(target))
-    truth = np.argsort(order_of(second))[order_of(first)]
-    return float(np.linalg.norm(target.vertices[found] - target.vertices[truth], axis=1).mean())
+    away = target.vertices[found] - target.vertices[truth(first, second)]
+    return float(np.linalg.norm(away, axis=1).mean())
 
 
 def test_shapes_never_seen_are_matched_after_training_without_correspondences(unregistered):

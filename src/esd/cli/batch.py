@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 
 from esd.cli.options import (
+    AdaptOption,
     CandidatesOption,
     CoarseOption,
     DeviceOption,
@@ -56,6 +57,7 @@ def batch(
     refine: RefineOption = None,
     mirror: MirrorOption = Mirror.auto,
     candidates: CandidatesOption = None,
+    adapt: AdaptOption = False,
     reject: RejectOption = False,
     min_confidence: MinConfidenceOption = 0.0,
     one_to_one: OneToOneOption = False,
@@ -74,6 +76,7 @@ def batch(
 
     from esd.common import InputError
     from esd.learning.model import load_model
+    from esd.matching.adapt import check_adaptation
     from esd.matching.batch import match_files, read_pairs_of_files
 
     check_coarse(coarse, one_to_one=one_to_one, full=full)
@@ -89,6 +92,8 @@ def batch(
     loaded = load_model(model, device=device)
     if reject:
         check_threshold(loaded)
+    if adapt:
+        check_adaptation(loaded)
     steps = len(listed) + len({file for pair in listed for file in (pair.source, pair.target)})
     maps, failed = [], 0
     with progress("matching", steps) as advance:
@@ -98,6 +103,7 @@ def batch(
             refine=refine,
             candidates=candidate_names(candidates),
             mirror=mirror.value,
+            adapt=adapt,
             reject=reject,
             min_confidence=min_confidence,
             one_to_one=one_to_one,

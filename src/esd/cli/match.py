@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from esd.cli.options import (
+    AdaptOption,
     CandidatesOption,
     CoarseOption,
     DeviceOption,
@@ -62,6 +63,7 @@ def match(
     ] = None,
     mirror: MirrorOption = Mirror.auto,
     candidates: CandidatesOption = None,
+    adapt: AdaptOption = False,
     reject: RejectOption = False,
     min_confidence: MinConfidenceOption = 0.0,
     one_to_one: OneToOneOption = False,
@@ -83,8 +85,10 @@ def match(
     """
     import logging
     import time
+    from dataclasses import asdict
 
     from esd.learning.model import load_model
+    from esd.matching.adapt import check_adaptation
     from esd.matching.correspondence import check_map_path, save_map
     from esd.matching.match import match as match_meshes
     from esd.matching.match import prepared
@@ -99,6 +103,8 @@ def match(
         destination(page, force=force, inputs=inputs)
         drawn = read_drawable(source), read_drawable(target)
     loaded = load_model(model, device=device)
+    if adapt:
+        check_adaptation(loaded)
     if reject:
         check_threshold(loaded)
     names, pairs = landmark_pairs(landmarks or [], source, target)
@@ -116,6 +122,7 @@ def match(
                 candidates=candidate_names(candidates),
                 landmarks=pairs,
                 mirror=mirror.value,
+                adapt=adapt,
                 coarse=coarse,
                 full=full,
             )
@@ -142,6 +149,7 @@ def match(
         "mirrored": judged.is_mirrored if judged else False,
         "landmarks": 0 if pairs is None else len(pairs),
         "contradicted_landmarks": [names[i] for i in judged.contradicted] if judged else [],
+        "adaptation": asdict(judged.adaptation) if judged and judged.adaptation else None,
         "seconds": time.perf_counter() - start,
     }
     if as_json:
@@ -170,6 +178,8 @@ def _tell_judgement(judged: Judgement, names: tuple[str, ...]) -> None:
         f"{judged.verdict}: about {judged.expected_accuracy:.0%} within 5 % of the "
         f"diameter. {judged.advice}".rstrip()
     )
+    if judged.adaptation:
+        tell(judged.adaptation.in_a_line())
     if judged.is_mirrored:
         tell("The source was mirrored: its mirror image fits better.")
     for index in judged.contradicted:

@@ -115,6 +115,14 @@ RepairOption = Annotated[
     bool,
     typer.Option("--repair", help="Repair all that esd doctor would, not the harmless alone."),
 ]
+AdaptOption = Annotated[
+    bool,
+    typer.Option(
+        "--adapt",
+        help="Let MODEL learn on the pair first, without correspondences; kept if the map gets "
+        "better. Takes some seconds more and needs the extra `train`.",
+    ),
+]
 CandidatesOption = Annotated[
     str | None,
     typer.Option(

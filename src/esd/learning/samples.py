@@ -130,12 +130,11 @@ def shape_samples(
         described = spectrum_descriptors(recipe, other, recipe_spectrum(recipe, other, cache=cache))
         values.append(described[chosen].astype(np.float32))
     scale = np.sqrt(surface_area(mesh))
-    closeness = {}
+    near = {}
     if known:
         graph = geodesic_graph(mesh)
         for name in list(known)[:MARKS]:
-            distance = graph.distances(np.array([known[name]]))[0, chosen] / scale
-            closeness[name] = (1 / (distance + _NEAR)).astype(np.float32)
+            near[name] = closeness(graph.distances(np.array([known[name]]))[0, chosen] / scale)
     return Samples(
         name=shape.name,
         values=tuple(values),
@@ -143,8 +142,13 @@ def shape_samples(
         positions=(mesh.vertices[chosen] / scale).astype(np.float32),
         normals=vertex_normals(mesh)[chosen].astype(np.float32),
         known=dict(zip(known, rows[: len(known)].tolist(), strict=True)),
-        closeness=closeness,
+        closeness=near,
     )
+
+
+def closeness(distance: FloatArray) -> npt.NDArray[np.float32]:
+    """1 / (d + 0.05) for geodesic distances d over √area, of the same shape."""
+    return (1 / (distance + _NEAR)).astype(np.float32)
 
 
 def collection_samples(

@@ -91,6 +91,26 @@ def lesson(
         )
     functions = source.eigenvectors[p], target.eigenvectors[q]
     forth, back = refined(functions, embedded, sizes=sizes)
+    return sifted(source, target, (p, q), forth, back)
+
+
+def sifted(
+    source: Samples,
+    target: Samples,
+    rows: tuple[IntArray, IntArray],
+    forth: IntArray,
+    back: IntArray,
+) -> Lesson:
+    """Those matches of a map that return and that keep the orientation of their neighbourhood.
+
+    Parameters
+    ----------
+    rows : (n,) and (m,)
+        Rows of the samples of either shape that are matched.
+    forth, back : (n,) and (m,)
+        Indices into the rows of the other shape.
+    """
+    p, q = rows
     here = source.positions[p]
     returns = np.linalg.norm(here[back[forth]] - here, axis=1) < _RETURNING
     image = q[forth]

@@ -16,15 +16,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from scipy import sparse
 from scipy.sparse import csgraph
 
 from esd.common import FloatArray, InputError
 from esd.datasets.collection import Collection
-from esd.learning.model import Layer, Model, standardised
-from esd.learning.network import linear_layers, seeded_network
+from esd.learning.model import Model, standardised
+from esd.learning.network import seeded_network
 from esd.learning.optimise import (
     adam_with_moments,
     descend,
@@ -33,7 +32,8 @@ from esd.learning.optimise import (
 )
 from esd.learning.presets import Training
 from esd.learning.samples import Samples, collection_samples, moments
-from esd.learning.teacher import FIRST_SIZES, Lesson, Rows, is_reliable, lesson
+from esd.learning.teacher import FIRST_SIZES, Lesson, is_reliable, lesson
+from esd.learning.updates import Matches, embedding_by, infonce_of_matches, layers_of, network_of
 from esd.parallel import THIS_PROCESS, Workers
 from esd.spectral.cache import Cache, content_key
 
@@ -45,7 +45,6 @@ _LARGEST_MEMORY = 2**31  # bytes of descriptors
 _FEWEST_POINTS = 1000  # of each shape
 _LAST_RATE = 0.05  # of the learning rate, at the end of its cosine
 _TRIES = 5  # pairs tried in a step until one teaches something
-_NEAR = 0.04  # over √area: points nearer to each other than this are no negatives
 _PARTNERS = 6  # with which each shape is matched in the end, to see whether it found its place
 _USUAL = 0.8  # quantile of the shares of reliable matches that counts as usual
 _BELONGING = 0.7  # of the usual share of reliable matches, above which two shapes are of one class
@@ -130,15 +129,6 @@ class _Run:
     optimiser: torch.optim.Adam
     step: int = 0
     curve: list[TeachingProgress] = field(default_factory=list)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Matches:
-    """What a pair of shapes taught."""
-
-    source: Samples
-    target: Samples
-    lesson: Lesson
 
 
 def train_unsupervised(
@@ -258,10 +248,6 @@ def train_unsupervised(
         on_progress(run.curve[-1])
     if path is not None:
         path.unlink(missing_ok=True)
-    layers = tuple(
-        Layer(layer.weight.detach().numpy(), layer.bias.detach().numpy())
-        for layer in linear_layers(run.network)
-    )
     card = {
         "data": collection.name,
         "shapes": [each.name for each in samples],
@@ -283,7 +269,7 @@ def train_unsupervised(
         recipe=training.recipe,
         mean=mean,
         deviation=deviation,
-        layers=layers,
+        layers=layers_of(run.network),
         limit=training.limit,
         unit_length=True,
         card=card,
@@ -335,12 +321,7 @@ def _standardise(
 
 def _started(training: Training, teaching: Teaching, seed: int, start: Model | None) -> _Run:
     widths = [training.recipe.width, *training.hidden, training.outputs]
-    network = seeded_network(widths, seed)
-    if start is not None:
-        with torch.no_grad():
-            for layer, known in zip(linear_layers(network), start.layers, strict=True):
-                layer.weight.copy_(torch.from_numpy(known.weight))
-                layer.bias.copy_(torch.from_numpy(known.bias))
+    network = seeded_network(widths, seed) if start is None else network_of(start)
     return _Run(network, adam_with_moments(network, rate=teaching.learning_rate))
 
 
@@ -354,7 +335,7 @@ def _advance(
 ) -> None:
     """Train to the next point of the curve, or to the last step."""
     stop = min(run.step + teaching.validate_every, teaching.steps)
-    recent: list[_Matches] = []  # begun anew after each checkpoint, so that resuming is the same
+    recent: list[Matches] = []  # begun anew after each checkpoint, so that resuming is the same
     tried: list[Lesson] = []
     losses: list[float] = []
     for step in range(run.step, stop):
@@ -374,7 +355,14 @@ def _advance(
         dropout = torch.Generator().manual_seed(_LARGEST_SEED * step + seed)
         for update in range(teaching.updates):
             which = generator.integers(len(recent)) if update else -1
-            loss = _loss(run.network, recent[which], training, teaching, generator, dropout)
+            loss = infonce_of_matches(
+                run.network,
+                recent[which],
+                training,
+                batch=teaching.batch,
+                generator=generator,
+                dropout=dropout,
+            )
             descend(run.optimiser, loss, rate=rate)
             losses.append(float(loss.detach()))
     run.step = stop
@@ -409,11 +397,11 @@ def _mean(values: Sequence[float]) -> float | None:
 
 def _own_copies(
     samples: Sequence[Samples], teaching: Teaching, generator: np.random.Generator
-) -> _Matches:
+) -> Matches:
     """Matches between versions of one shape, drawn at random."""
     shape = samples[int(generator.integers(len(samples)))]
     rows = generator.permutation(len(shape.positions))[: teaching.drawn]
-    return _Matches(shape, shape, Lesson(rows, rows, 1.0, 1.0, 1.0))
+    return Matches(shape, shape, Lesson(rows, rows, 1.0, 1.0, 1.0))
 
 
 def _reliable(
@@ -423,7 +411,7 @@ def _reliable(
     share: float,
     generator: np.random.Generator,
     tried: list[Lesson],
-) -> list[_Matches]:
+) -> list[Matches]:
     """Matches of a pair drawn at random that can be relied on, none if there is no such pair.
 
     All that were tried are added to a list.
@@ -433,7 +421,7 @@ def _reliable(
         found = _lesson(run, samples[source], samples[target], teaching, share, generator)
         tried.append(found)
         if is_reliable(found):
-            return [_Matches(samples[source], samples[target], found)]
+            return [Matches(samples[source], samples[target], found)]
     return []
 
 
@@ -453,64 +441,14 @@ def _lesson(
     generator: np.random.Generator,
 ) -> Lesson:
     """What the network, as it is, has to teach about a pair."""
-
-    def embed(values: Rows) -> Rows:
-        with torch.no_grad():
-            rows = torch.nn.functional.normalize(run.network(torch.from_numpy(values)), dim=1)
-        return np.asarray(rows.numpy())
-
     return lesson(
         source,
         target,
-        embed,
+        embedding_by(run.network),
         sizes=_sizes(teaching.eigenfunctions, share),
         count=teaching.drawn,
         generator=generator,
     )
-
-
-def _loss(
-    network: torch.nn.Sequential,
-    matches: _Matches,
-    training: Training,
-    teaching: Teaching,
-    generator: np.random.Generator,
-    dropout: torch.Generator,
-) -> torch.Tensor:
-    """InfoNCE of some matches, between copies of the two shapes drawn at random.
-
-    Weighed by how much of the map could be relied on; what is known is added to it. Points near
-    each other are not distinguished.
-    """
-    known = matches.source.shared(matches.target)
-    taught = matches.lesson.source, matches.lesson.target
-    room = max(teaching.batch - len(known[0]), teaching.batch // 2)
-    order = generator.permutation(len(taught[0]))[:room]
-    also = generator.permutation(len(known[0]))[: teaching.batch // 2]
-    source, target = (
-        np.concatenate([rows[order], exact[also]])
-        for rows, exact in zip(taught, known, strict=True)
-    )
-    weight = matches.lesson.returning * matches.lesson.kept
-    embedded = []
-    near = np.zeros((len(source), len(source)), dtype=bool)
-    for shape, rows in ((matches.source, source), (matches.target, target)):
-        values = torch.from_numpy(shape.values[generator.integers(len(shape.values))][rows])
-        remaining = torch.rand(values.shape, generator=dropout) >= training.dropout
-        output = network(values * remaining / (1 - training.dropout))
-        embedded.append(torch.nn.functional.normalize(output, dim=1))
-        near |= _are_near(shape.positions[rows])
-    similarity = embedded[0] @ embedded[1].T / training.temperature
-    np.fill_diagonal(near, False)
-    similarity = similarity.masked_fill(torch.from_numpy(near), -torch.inf)
-    ways = similarity.logsumexp(dim=0) + similarity.logsumexp(dim=1)
-    return weight * (ways / 2 - similarity.diagonal()).mean()
-
-
-def _are_near(positions: Rows) -> npt.NDArray[np.bool_]:
-    """Whether any two points are too near to be distinguished, (b, b)."""
-    squares = (positions**2).sum(axis=1)
-    return squares[:, None] + squares - 2 * positions @ positions.T < _NEAR**2
 
 
 def _validation(

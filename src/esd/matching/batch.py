@@ -13,6 +13,7 @@ import numpy as np
 
 from esd.common import InputError, existing_file, is_file, reason
 from esd.learning.model import Model
+from esd.matching.adapt import check_adaptation
 from esd.matching.correspondence import check_map_path, save_map
 from esd.matching.features import Features
 from esd.matching.landmarks import paired_landmarks
@@ -130,6 +131,7 @@ def match_files(
     refine: bool | None = None,
     candidates: Sequence[str] | None = None,
     mirror: Mirror = "auto",
+    adapt: bool = False,
     one_to_one: bool = False,
     reject: bool = False,
     min_confidence: float = 0.0,
@@ -146,7 +148,7 @@ def match_files(
 
     Parameters
     ----------
-    candidates, mirror
+    candidates, mirror, adapt
         See `esd.matching.match.match`.
     reject
         Whether matches beyond the model's threshold are dropped.
@@ -163,6 +165,8 @@ def match_files(
         Called after each shape and after each pair, to show progress.
     """
     check_copies(one_to_one=one_to_one, coarse=coarse, full=full)
+    if adapt:
+        check_adaptation(model)
     full = full or one_to_one
     threshold = model.threshold() if reject else np.inf
     files = list(dict.fromkeys(file for pair in pairs for file in (pair.source, pair.target)))
@@ -197,6 +201,7 @@ def match_files(
             refine=refine,
             candidates=candidates,
             mirror=mirror,
+            adapt=adapt,
             one_to_one=one_to_one,
             threshold=threshold,
             min_confidence=min_confidence,
@@ -234,6 +239,7 @@ def _match(
     refine: bool | None,
     candidates: Sequence[str] | None,
     mirror: Mirror,
+    adapt: bool,
     one_to_one: bool,
     threshold: float,
     min_confidence: float,
@@ -255,6 +261,8 @@ def _match(
             candidates=candidates,
             landmarks=landmarks,
             mirror=mirror,
+            adapt=adapt,
+            cache=default_cache(),
             one_to_one=one_to_one,
         )
         .rejecting(threshold)

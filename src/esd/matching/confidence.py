@@ -40,6 +40,37 @@ ADVICE = {
 
 
 @dataclass(frozen=True, slots=True)
+class Adaptation:
+    """What adapting a model to a pair of shapes cost and gave.
+
+    Parameters
+    ----------
+    seconds
+        That it took.
+    cost_before, cost_after
+        Of the best candidate by the model and by the adapted one, see `esd.matching.judge.cost`;
+        each the mean over the embeddings of both models, so that neither is judged by its own.
+    is_kept
+        Whether the map is by the adapted model: its cost is less.
+    """
+
+    seconds: float
+    cost_before: float
+    cost_after: float
+    is_kept: bool
+
+    def in_a_line(self) -> str:
+        """What it cost and gave, in words."""
+        costs = f"from {self.cost_before:.2f} to {self.cost_after:.2f}"
+        if self.is_kept:
+            return f"Adapting the model took {self.seconds:.0f} s; the cost fell {costs}."
+        return (
+            f"Adapting the model took {self.seconds:.0f} s and gave nothing: the cost went "
+            f"{costs}, so the map is by the model as it was."
+        )
+
+
+@dataclass(frozen=True, slots=True)
 class Judgement:
     """What is to be thought of a map as a whole.
 
@@ -65,6 +96,8 @@ class Judgement:
         that was matched. They count as wrong.
     not_repaired
         What does harm in either shape and was not repaired, in words.
+    adaptation
+        What adapting the model to the two shapes cost and gave; None where it was not adapted.
     """
 
     verdict: Verdict
@@ -75,6 +108,7 @@ class Judgement:
     contradicted: tuple[int, ...] = ()
     unmatched: float = 0.0
     not_repaired: str = ""
+    adaptation: Adaptation | None = None
 
     @property
     def candidate(self) -> str | None:

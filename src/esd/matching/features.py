@@ -71,6 +71,10 @@ class Features:
         nearest = nearest_vertices(self.copy.mesh, self.copy.points)
         return np.where(repaired >= 0, nearest[repaired], -1)
 
+    def embedded_by(self, model: Model) -> Features:
+        """The same with the embedding by another model of the same recipe, without convolutions."""
+        return replace(self, embedded=model.embed(self.values.astype(np.float64)))
+
     def is_filling(self) -> BoolArray:
         """Whether each vertex of the repaired mesh fills a hole, (r,)."""
         count = len(self.original_index)

@@ -13,10 +13,11 @@ import numpy as np
 
 from esd.common import FloatArray, InputError, IntArray
 from esd.learning.model import Model, load_model
+from esd.matching.adapt import adapted_model, check_adaptation
 from esd.matching.assignment import one_to_one as assignment
 from esd.matching.candidates import Candidate, Rows
 from esd.matching.choice import Choice, check_candidates, chosen
-from esd.matching.confidence import confidence, judgement
+from esd.matching.confidence import Adaptation, confidence, judgement
 from esd.matching.correspondence import Correspondence
 from esd.matching.features import Features, reflected, shape_features
 from esd.matching.judge import accuracy
@@ -59,6 +60,7 @@ def match(
     candidates: Sequence[str] | None = None,
     landmarks: IntArray | None = None,
     mirror: Mirror = "auto",
+    adapt: bool = False,
     coarse: int | None = None,
     full: bool = False,
     cache: Cache | None = None,
@@ -87,6 +89,10 @@ def match(
     mirror
         Whether the source is mirrored before it is matched: left hands to right ones. With `auto`,
         it is where the mirror image fits clearly better, see `Judgement.is_mirrored`.
+    adapt
+        Whether the model first learns on the two shapes, without correspondences, for some
+        seconds; what it learned is used if the judge finds the map better, see
+        `Judgement.adaptation`. Needs torch.
     coarse
         For dense meshes: number of vertices of the copies, remeshed, that are matched in their
         place; the map is upsampled to all vertices, see `esd.matching.dense`. By default ten
@@ -105,6 +111,8 @@ def match(
     if candidates is not None:
         check_candidates(candidates, landmarks=landmarks is not None)
     model = model if isinstance(model, Model) else load_model(model)
+    if adapt:
+        check_adaptation(model)
     cache = default_cache() if cache is None else cache
     full = full or one_to_one
     shapes = [prepared(each, coarse=coarse, full=full) for each in (source, target)]
@@ -123,6 +131,8 @@ def match(
         candidates=candidates,
         landmarks=landmarks,
         mirror=mirror,
+        adapt=adapt,
+        cache=cache,
     )
     left = []
     for name, each in zip(("source", "target"), shapes, strict=True):
@@ -199,18 +209,37 @@ def match_features(
     candidates: Sequence[str] | None = None,
     landmarks: IntArray | None = None,
     mirror: Mirror = "auto",
+    adapt: bool = False,
+    cache: Cache | None = None,
 ) -> Correspondence:
-    """As `match`, of the features of a source and a target by the model."""
+    """As `match`, of the features of a source and a target by the model.
+
+    Parameters
+    ----------
+    cache
+        Where spectra of the copies that a model is adapted on are looked up and kept.
+    """
     refine = model.is_oriented if refine is None else refine
     is_mesh = isinstance(source.shape, Mesh) and isinstance(target.shape, Mesh)
     costs: dict[str, float] = {}
     expected: float | None = None
     contradicted: tuple[int, ...] = ()
     is_mirrored = False
+    adaptation: Adaptation | None = None
+    used = np.zeros(0, dtype=np.int64)
+    if landmarks is not None and is_mesh:
+        landmarks, used = _located(landmarks, source, target)
+    if adapt:
+        model, adaptation = adapted_model(
+            reflected(source, model=model) if mirror == "yes" else source,
+            target,
+            model=model,
+            names=candidates,
+            landmarks=landmarks,
+            cache=cache,
+        )
+        source, target = source.embedded_by(model), target.embedded_by(model)
     if is_mesh and (refine or candidates or landmarks is not None or mirror == "yes"):
-        used = np.zeros(0, dtype=np.int64)
-        if landmarks is not None:
-            landmarks, used = _located(landmarks, source, target)
         choice, mirrored = _mirror_chosen(
             source, target, model=model, names=candidates, landmarks=landmarks, mirror=mirror
         )
@@ -232,7 +261,11 @@ def match_features(
         found = replace(
             found,
             judgement=replace(
-                found.judgement, costs=costs, is_mirrored=is_mirrored, contradicted=contradicted
+                found.judgement,
+                costs=costs,
+                is_mirrored=is_mirrored,
+                contradicted=contradicted,
+                adaptation=adaptation,
             ),
         )
     if is_copy:
