@@ -29,6 +29,7 @@ def test_an_atlas_of_registered_meshes_is_written_and_replaced_only_by_itself(el
     assert (summary["shapes"], summary["left_out"], summary["outliers"]) == (5, {}, [])
     assert summary["explained"][0] > 0.99
     assert len((out / "scores.csv").read_text().splitlines()) == 6
+    assert (out / "report.html").stat().st_size > 500_000
     again = run("atlas", ellipsoids, "-o", out, "--registered", "--modes", 1)
     assert "5 shapes registered to 'e0'; 1 of 1 modes explain" in again.stdout
     with np.load(out / "model.npz") as model:

@@ -7,7 +7,6 @@ import esd
 from esd.common import InputError
 from esd.mesh.geometry import vertex_areas
 from esd.mesh.shapes import icosphere
-from esd.population.missing import completed
 from esd.population.procrustes import generalised_procrustes
 from esd.population.shape_model import (
     ShapeModel,
@@ -117,28 +116,6 @@ def test_the_number_of_modes_may_be_limited():
     found = principal_components(population(), SPHERE.faces, mass=MASS, count=1)
     assert found.scores.shape == (12, 1)
     assert 0.5 < found.model.explained()[0] < 1.0
-
-
-def test_missing_vertices_are_estimated_from_the_modes():
-    shapes = population()
-    holes = shapes.copy()
-    holes[0, SPHERE.vertices[:, 0] > 0.5] = np.nan
-    holes[3, SPHERE.vertices[:, 2] < 0.0] = np.nan
-    found = completed(holes, mass=MASS)
-    there = ~np.isnan(holes)
-    assert (found[there] == shapes[there]).all()
-    missed = np.abs(found - shapes).max()
-    filled_by_mean = np.abs(np.where(there, shapes, np.nanmean(holes, axis=0)) - shapes).max()
-    # the modes that are used explain 90 % of the variance or more
-    assert missed < 0.1 * filled_by_mean
-
-
-def test_shapes_that_are_whole_or_all_alike_stay_as_they_are():
-    shapes = population()
-    assert completed(shapes, mass=MASS) is shapes
-    alike = np.stack([SPHERE.vertices] * 4)
-    alike[0, :10] = np.nan
-    assert completed(alike, mass=MASS) == pytest.approx(np.stack([SPHERE.vertices] * 4))
 
 
 def test_a_mesh_without_what_is_missing():

@@ -106,6 +106,7 @@ def atlas(
     from esd.population.atlas import atlas as atlas_of
     from esd.population.atlas import is_atlas_folder
     from esd.population.files import save_atlas
+    from esd.viewing.report import report
 
     start = time.perf_counter()
     if train and model:
@@ -149,6 +150,7 @@ def atlas(
             on_shape=lambda: advance(1),
         )
     save_atlas(found, output)
+    report(found, title=collection.name).save(output / "report.html")
     _report(found, output, seconds=time.perf_counter() - start, as_json=as_json)
 
 

@@ -79,7 +79,8 @@ class Atlas:
     faces : (m, 3)
         Of the template, and so of all registered shapes.
     vertices : (s, n, 3)
-        Of the template on each shape, in its coordinates; NaN where the shape has no surface.
+        Of the template on each shape, in its coordinates; NaN in parts that the shape lacks, see
+        `esd.population.missing.missing_parts`.
     aligned : (s, n, 3)
         The same after generalised Procrustes alignment.
     sizes : (s,)
@@ -154,9 +155,9 @@ def atlas(
     """The atlas of a population of unregistered shapes of one class.
 
     The template is registered to each shape along a map, see `esd.register`; the registered meshes
-    are aligned by generalised Procrustes, and their principal components computed. Where a shape
-    has no surface, its vertices are missing: they take no part in the alignment, and are estimated
-    from the other shapes for the principal components alone.
+    are aligned by generalised Procrustes, and their principal components computed. Vertices in
+    parts that a shape lacks are missing: they take no part in the alignment, and are estimated from
+    the other shapes for the principal components alone.
 
     Shapes that fail do not abort the others; those whose map or registration failed are left out of
     the statistics.
@@ -237,7 +238,7 @@ def atlas(
                 collection, chosen, meshes, model=model, workers=workers, on_shape=on_shape
             )
             vertices = {
-                each.name: read_registered(meshes, each.name)
+                each.name: read_registered(meshes, each.name, chosen.mesh.faces)
                 for each in records
                 if not each.failure
             }

@@ -1,20 +1,43 @@
-"""Missing vertices of aligned shapes, estimated from the shapes that have them."""
+"""Missing parts of registered shapes, and estimates of them from the shapes that have them."""
 
 from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import csgraph
 
 from esd.common import BoolArray, FloatArray
+from esd.mesh.geometry import adjacency, edges, vertex_areas
+from esd.mesh.mesh import Mesh
 
 _ROUNDS = 100
 _TOLERANCE = 1e-4  # of the root mean square variation: change of the estimates that ends the rounds
+_SMALLEST = 0.01  # share of the area of a part that is missing
 _EXPLAINED = 0.9  # share of the variance that the modes of the estimate explain
 
 
 def is_present(vertices: FloatArray) -> BoolArray:
     """Whether each vertex, (…, 3), is there: none of its coordinates is NaN."""
     return np.asarray(np.isfinite(vertices).all(axis=-1))
+
+
+def missing_parts(mesh: Mesh, supported: BoolArray) -> BoolArray:
+    """Whether each vertex of a registered template lies in a part that the shape lacks, (n,).
+
+    Parts are pieces of the surface without support that have at least a hundredth of the area:
+    smaller ones, as between fingers, are where the template was carried on.
+
+    Parameters
+    ----------
+    supported : (n,)
+        Whether the shape has a surface at each vertex.
+    """
+    joined = edges(mesh)
+    open_edges = joined[~supported[joined].any(axis=1)]
+    _, part = csgraph.connected_components(adjacency(open_edges, len(supported)), directed=False)
+    areas = vertex_areas(mesh)
+    share = np.bincount(part, areas)[part] / areas.sum()
+    return np.asarray(~supported & (share >= _SMALLEST))
 
 
 def completed(vertices: npt.NDArray[np.float64], *, mass: FloatArray) -> npt.NDArray[np.float64]:

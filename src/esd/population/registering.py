@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from esd.common import InputError, whole_file
+from esd.common import InputError, IntArray, whole_file
 from esd.datasets.collection import Collection, Shape
 from esd.learning.model import Model
 from esd.matching.batch import load_features, save_features
@@ -23,6 +23,7 @@ from esd.mesh.io.landmarks import LANDMARK_FORMATS, Landmarks, read_landmarks
 from esd.mesh.io.ply import ply_bytes, ply_elements
 from esd.mesh.mesh import Mesh
 from esd.parallel import Workers, outcomes, shared_folder
+from esd.population.missing import missing_parts
 from esd.registration.register import register
 from esd.spectral.cache import content_key, default_cache
 
@@ -172,8 +173,8 @@ def registered_shapes(
     return tuple(done[shape.name] for shape in collection.shapes)
 
 
-def read_registered(folder: Path, name: str) -> npt.NDArray[np.float64]:
-    """The template's vertices on a shape, (n, 3); NaN where the shape has no surface.
+def read_registered(folder: Path, name: str, faces: IntArray) -> npt.NDArray[np.float64]:
+    """The template's vertices on a shape, (n, 3); NaN in parts that the shape lacks.
 
     Raises
     ------
@@ -189,7 +190,8 @@ def read_registered(folder: Path, name: str) -> npt.NDArray[np.float64]:
         raise InputError(
             f"'{path}' cannot be read as a registered shape ({error}); remove it and rerun."
         ) from error
-    return np.where(supported[:, None], vertices, np.nan)
+    missing = missing_parts(Mesh(vertices, faces), supported)
+    return np.where(missing[:, None], np.nan, vertices)
 
 
 def model_key(model: Model) -> str:

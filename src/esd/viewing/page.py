@@ -5,10 +5,12 @@ from __future__ import annotations
 import base64
 import json
 import os
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from string import Template
+from typing import Any
 
 from esd.common import FloatArray, InputError, whole_file
 from esd.matching.correspondence import Correspondence
@@ -110,20 +112,29 @@ def page_of(shown: Scene) -> Page:
     names = (shown.meta["source"], shown.meta["target"])
     title = " → ".join(name for name in names if name) or "correspondence"
     meta, content = shown.packed()
-    # modules in one file: each is named by its content
-    sources = {f"esd/{name}": _as_address(part(name)) for name in MODULES}
     return Page(
         Template(part("page.html")).substitute(
             title=escaped(title),
             style=part("viewer.css"),
             stage=part("stage.html"),
             panel=part("panel.html"),
-            modules=json.dumps({"imports": sources}),
-            meta=json.dumps(meta, ensure_ascii=True).replace("<", "\\u003c"),
+            modules=import_map(MODULES),
+            meta=as_script(meta),
             arrays=base64.b64encode(content).decode("ascii"),
             library=part("three.min.js"),
         )
     )
+
+
+def import_map(modules: Sequence[str]) -> str:
+    """Where a page of one file has modules: each is named by its content."""
+    sources = {f"esd/{name}": _as_address(part(name)) for name in modules}
+    return json.dumps({"imports": sources})
+
+
+def as_script(meta: Mapping[str, Any]) -> str:
+    """JSON that does not end the script element that it is in."""
+    return json.dumps(meta, ensure_ascii=True).replace("<", "\\u003c")
 
 
 def part(name: str) -> str:

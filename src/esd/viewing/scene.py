@@ -171,7 +171,7 @@ def _field(name: str, values: FloatArray) -> Field:
         return _scale(name, "Error", 0.0, 0.25, 100.0, "% of √area")
     if name == "stretch":
         return _scale(name, "Stretch", -3.0, 3.0, 1.0, "log₂ of area")
-    return _scale(name, "Distance", 0.0, _round_above(float(np.nanquantile(values, 0.99))), 1.0, "")
+    return _scale(name, "Distance", 0.0, round_above(float(np.nanquantile(values, 0.99))), 1.0, "")
 
 
 def _scale(name: str, title: str, low: float, high: float, factor: float, unit: str) -> Field:
@@ -185,7 +185,7 @@ def _scale(name: str, title: str, low: float, high: float, factor: float, unit: 
     }
 
 
-def _round_above(value: float) -> float:
+def round_above(value: float) -> float:
     """The least of 1, 2 and 5 times a power of ten that is not below a value."""
     if value <= 0:
         return 1.0

@@ -108,7 +108,7 @@ export function createViewer(stage, on = {}) {
 
   function valueColour(field, shape, i) {
     const at = shape === source ? i : arrays.comes_from[i];
-    const value = at < 0 || (shape === source && arrays.map[i] < 0) ? NaN : arrays[field.name][at];
+    const value = at < 0 || (shape === source && arrays.map?.[i] < 0) ? NaN : arrays[field.name][at];
     if (Number.isNaN(value)) return meta.unmatched;
     const [low, high] = state.scales[field.name];
     return ramp(meta.ramp, (value - low) / (high - low || 1));
@@ -427,6 +427,12 @@ export function createViewer(stage, on = {}) {
     changed();
   }
 
+  // Move the source's vertices; it stays what it was.
+  function deform(positions) {
+    shapes.move(source, positions);
+    draw();
+  }
+
   function playMorph() {
     const from = state.morph;
     const to = from < 0.5 ? 1 : 0;
@@ -498,7 +504,7 @@ export function createViewer(stage, on = {}) {
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", draw);
 
   return {
-    state, load, setMode, setScale, setPattern, setLines, setMorph, playMorph, setUp, setAligned, setPins, mark,
+    state, load, setMode, setScale, setPattern, setLines, setMorph, deform, playMorph, setUp, setAligned, setPins, mark,
     resetView: () => { state.up = meta.up; resetView(); changed(); },
     drop: () => { state.kept = false; show(null); },
     turn, nearer, fly, flyTo, pick, pinAt, picture, describe, valueText, draw, lineLimit,
