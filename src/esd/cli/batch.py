@@ -60,6 +60,14 @@ def batch(
     adapt: AdaptOption = False,
     reject: RejectOption = False,
     min_confidence: MinConfidenceOption = 0.0,
+    collection: Annotated[
+        bool,
+        typer.Option(
+            "--collection",
+            help="Match the shapes as a whole: by way of others where the judge finds that better; "
+            "for all pairs of a collection, or many.",
+        ),
+    ] = False,
     one_to_one: OneToOneOption = False,
     coarse: CoarseOption = None,
     full: FullOption = False,
@@ -77,7 +85,7 @@ def batch(
     from esd.common import InputError
     from esd.learning.model import load_model
     from esd.matching.adapt import check_adaptation
-    from esd.matching.batch import match_files, read_pairs_of_files
+    from esd.matching.batch import CollectionReport, match_files, read_pairs_of_files
 
     check_coarse(coarse, one_to_one=one_to_one, full=full)
     computing = workers_of(workers, scheduler, patience)
@@ -96,6 +104,7 @@ def batch(
         check_adaptation(loaded)
     steps = len(listed) + len({file for pair in listed for file in (pair.source, pair.target)})
     maps, failed = [], 0
+    reports: list[CollectionReport] = []
     with progress("matching", steps) as advance:
         for done in match_files(
             listed,
@@ -112,6 +121,7 @@ def batch(
             full=full,
             workers=computing,
             on_step=lambda: advance(1),
+            on_collection=reports.append if collection else None,
         ):
             names = {key: str(getattr(done.pair, key)) for key in ("source", "target", "output")}
             maps.append({**names, **{k: v for k, v in asdict(done).items() if k != "pair"}})
@@ -120,8 +130,13 @@ def batch(
                 typer.echo(f"{done.pair.output}\t{done.failure}")
     if as_json:
         seconds = time.perf_counter() - start
-        typer.echo(json.dumps({"model": loaded.name, "maps": maps, "seconds": seconds}))
+        summary = {"model": loaded.name, "maps": maps, "seconds": seconds}
+        if reports:
+            summary["collection"] = asdict(reports[0])
+        typer.echo(json.dumps(summary))
     else:
         tell(f"{len(listed) - failed} of {len(listed)} pairs matched")
+        for report in reports:
+            tell(report.in_a_line())
     if failed:
         raise InputError(f"{failed} of {len(listed)} pairs failed; the other maps are written.")

@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import csv
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
-from esd.common import InputError, existing_file, is_file, reason
+from esd.common import FloatArray, InputError, existing_file, is_file, reason
 from esd.learning.model import Model
 from esd.matching.adapt import check_adaptation
+from esd.matching.collection import Pair, composed, cycle_miss, trusted_chains
 from esd.matching.correspondence import check_map_path, save_map
 from esd.matching.features import Features
 from esd.matching.landmarks import paired_landmarks
 from esd.matching.match import Mirror, check_copies, match_features, prepared, working_features
+from esd.mesh.geometry import surface_area
 from esd.mesh.io.landmarks import read_landmarks
 from esd.mesh.mesh import Mesh, PointCloud
 from esd.mesh.repair.repair import usable_part
@@ -55,6 +58,10 @@ class MatchedPair:
         Share of the target's vertices that are matched.
     verdict, expected_accuracy
         See `esd.matching.confidence.Judgement`; None where the map was not judged.
+    cost
+        Of the candidate that was chosen, see `esd.matching.judge`; None where there was no choice.
+    chain
+        Shapes by way of which the map goes; none of a direct one.
     failure
         None if the map was written.
     """
@@ -64,7 +71,39 @@ class MatchedPair:
     coverage: float = 0.0
     verdict: str | None = None
     expected_accuracy: float | None = None
+    cost: float | None = None
+    chain: tuple[str, ...] = ()
     failure: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class CollectionReport:
+    """What matching a collection as a whole gave.
+
+    Parameters
+    ----------
+    miss_before, miss_after
+        Mean distance over √area between images by way of a third shape and by the direct map, by
+        the direct maps and by those that were kept, see `esd.matching.collection.cycle_miss`; None
+        where no three maps close, or the maps of shapes without faces.
+    tried, improved
+        Number of maps by way of other shapes that were tried, and that were better.
+    """
+
+    miss_before: float | None
+    miss_after: float | None
+    tried: int
+    improved: int
+
+    def in_a_line(self) -> str:
+        """The same in words."""
+        line = f"{self.improved} of {self.tried} maps by way of other shapes were better"
+        if self.miss_before is None or self.miss_after is None:
+            return line
+        return (
+            f"{line}; maps a to c differ from those a to b to c by {self.miss_after:.1%} of √area "
+            f"({self.miss_before:.1%} before)"
+        )
 
 
 def read_pairs_of_files(
@@ -140,6 +179,7 @@ def match_files(
     full: bool = False,
     workers: Workers = EVERY_CORE,
     on_step: Callable[[], None] = lambda: None,
+    on_collection: Callable[[CollectionReport], None] | None = None,
 ) -> Iterator[MatchedPair]:
     """Match pairs of files in several processes and write their maps, as by `match`.
 
@@ -163,6 +203,11 @@ def match_files(
         and those of the maps under the same names.
     on_step
         Called after each shape and after each pair, to show progress.
+    on_collection
+        If given, the pairs are matched as a collection: where a chain of maps between other shapes
+        is expected to be more accurate than the direct map, the map along it is refined, and
+        replaces the direct one if the judge finds it better. Called with what that gave, before
+        the first pair is returned.
     """
     check_copies(one_to_one=one_to_one, coarse=coarse, full=full)
     if adapt:
@@ -206,9 +251,90 @@ def match_files(
             threshold=threshold,
             min_confidence=min_confidence,
         )
-        for matched in outcomes(work, sound, workers=workers):
+        direct = []
+        for matched in outcomes(work, map(_Job, sound), workers=workers):
             on_step()
-            yield matched.result or MatchedPair(matched.job, failure=matched.failure)
+            found = matched.result or MatchedPair(matched.job.pair, failure=matched.failure)
+            if on_collection is None:
+                yield found
+            direct.append(found)
+        if on_collection is not None:
+            whole, report = _as_collection(direct, work, places, workers=workers)
+            on_collection(report)
+            yield from whole
+
+
+@dataclass(frozen=True, slots=True)
+class _Job:
+    """A pair to be matched, or to be matched by way of other shapes.
+
+    Parameters
+    ----------
+    chain
+        The shapes by way of which, both ends included; empty for a direct map.
+    limit
+        Cost of the direct map; a map by way of others that costs as much is dropped.
+    """
+
+    pair: PairOfFiles
+    chain: tuple[Path, ...] = ()
+    limit: float = np.inf
+
+
+def _as_collection(
+    direct: Sequence[MatchedPair],
+    work: Callable[[_Job], MatchedPair | None],
+    places: Mapping[Path, Path],
+    *,
+    workers: Workers,
+) -> tuple[list[MatchedPair], CollectionReport]:
+    """The direct maps, some of them replaced by better ones by way of other shapes."""
+    files = list(places)
+    number = {file: i for i, file in enumerate(files)}
+    best: dict[Pair, MatchedPair] = {}
+    for each in direct:
+        if each.expected_accuracy is not None and each.pair.source != each.pair.target:
+            best[number[each.pair.source], number[each.pair.target]] = each
+    before = _cycle_miss(best, files, places)
+    chains = trusted_chains({p: m.expected_accuracy or 0.0 for p, m in best.items()}, len(files))
+    jobs = [
+        _Job(best[pair].pair, tuple(files[i] for i in chain), best[pair].cost or np.inf)
+        for pair, chain in chains.items()
+        if pair in best and len(chain) > 2
+    ]
+    improved = 0
+    for outcome in outcomes(work, jobs, workers=workers):
+        if outcome.result is not None:
+            pair = number[outcome.job.pair.source], number[outcome.job.pair.target]
+            best[pair] = outcome.result
+            improved += 1
+    replaced = {each.pair: each for each in best.values()}
+    after = _cycle_miss(best, files, places) if improved else before
+    report = CollectionReport(before, after, len(jobs), improved)
+    return [replaced.get(each.pair, each) for each in direct], report
+
+
+def _cycle_miss(
+    pairs: Iterable[Pair], files: Sequence[Path], places: Mapping[Path, Path]
+) -> float | None:
+    """See `esd.matching.collection.cycle_miss`, of the maps between some shapes."""
+    maps = {
+        (i, j): np.load(_kept_map(places[files[i]], places[files[j]]), mmap_mode="r")
+        for i, j in pairs
+    }
+    positions: dict[int, FloatArray] = {}
+    for i in {i for pair in maps for i in pair}:
+        features = load_features(places[files[i]])
+        assert isinstance(features.shape, Mesh)  # others are not judged
+        place = features.located(np.arange(len(features.vertex_index)))
+        points = features.shape.vertices / np.sqrt(surface_area(features.shape))
+        positions[i] = np.where((place >= 0)[:, None], points[place], np.nan)
+    return cycle_miss(maps, positions)
+
+
+def _kept_map(source: Path, target: Path) -> Path:
+    """Where the map between two shapes is kept, without anything dropped."""
+    return source.with_name(f"{source.name}-{target.name}.npy")
 
 
 def _save_features_of(
@@ -232,7 +358,7 @@ def _save_features_of(
 
 
 def _match(
-    pair: PairOfFiles,
+    job: _Job,
     *,
     places: dict[Path, Path],
     model: Model,
@@ -243,39 +369,48 @@ def _match(
     one_to_one: bool,
     threshold: float,
     min_confidence: float,
-) -> MatchedPair:
+) -> MatchedPair | None:
+    """What became of a pair; None if a map by way of other shapes is no better than the direct."""
+    pair = job.pair
     source, target = load_features(places[pair.source]), load_features(places[pair.target])
-    landmarks = None
-    if pair.landmarks is not None:
+    landmarks, by_way = None, None
+    if job.chain:
+        steps = [np.load(_kept_map(places[a], places[b])) for a, b in pairwise(job.chain)]
+        by_way = composed(steps)
+    elif pair.landmarks is not None:
         read = [
             read_landmarks(file, usable_part(mesh))
             for file, mesh in zip(pair.landmarks, (pair.source, pair.target), strict=True)
         ]
         _, landmarks = paired_landmarks(*read)
-    found = (
-        match_features(
-            source,
-            target,
-            model=model,
-            refine=refine,
-            candidates=candidates,
-            landmarks=landmarks,
-            mirror=mirror,
-            adapt=adapt,
-            cache=default_cache(),
-            one_to_one=one_to_one,
-        )
-        .rejecting(threshold)
-        .confident(min_confidence)
+    found = match_features(
+        source,
+        target,
+        model=model,
+        refine=refine,
+        candidates=candidates,
+        landmarks=landmarks,
+        mirror=mirror if by_way is None else "no",
+        adapt=adapt and by_way is None,
+        by_way=by_way,
+        cache=default_cache(),
+        one_to_one=one_to_one,
     )
-    save_map(found, pair.output)
     judged = found.judgement
+    cost = min(judged.costs.values()) if judged and judged.costs else None
+    if by_way is not None and (cost is None or cost >= job.limit):
+        return None
+    np.save(_kept_map(places[pair.source], places[pair.target]), found.target_index)
+    found = found.rejecting(threshold).confident(min_confidence)
+    save_map(found, pair.output)
     return MatchedPair(
         pair,
         int(found.is_matched().sum()),
         found.coverage(len(target.vertex_index)),
         judged.verdict if judged else None,
         judged.expected_accuracy if judged else None,
+        cost,
+        tuple(file.stem for file in job.chain[1:-1]),
     )
 
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from esd.common import InputError, IntArray
 from esd.matching.candidates import (
@@ -26,6 +27,9 @@ from esd.matching.judge import Evidence, accuracy, cost, evidence
 from esd.matching.landmarks import contradicted, landmark_candidates
 from esd.nearest import nearest
 from esd.parallel import side_by_side
+
+CHAIN = "chain"
+"""Name of the candidate that refines a map by way of other shapes."""
 
 _SURE = 0.97  # expected accuracy of a candidate beyond which shapes of other poses get no more
 _OTHER_POSE = 0.07  # residual of the alignment beyond which shapes are not of one pose
@@ -120,6 +124,42 @@ def chosen(
     costs = {candidate.name: cost(each) for candidate, each in found}
     best = min(found, key=lambda each: costs[each[0].name])
     return Choice(*best, costs, doubtful)
+
+
+def chained(source: Features, target: Features, by_way: IntArray) -> Choice:
+    """The candidate that refines a known map, such as one by way of other shapes.
+
+    Parameters
+    ----------
+    by_way : (n,)
+        The target vertex of each source vertex, of the shapes as they are matched; -1 for none.
+
+    Raises
+    ------
+    InputError
+        If no vertex has a match.
+    """
+    known = np.flatnonzero(by_way >= 0)
+    if len(known) == 0:
+        raise InputError("A map to be refined has no match.")
+    shapes = side_by_side(sampled, (source, target))
+    descriptors = pair_descriptors(shapes[0], shapes[1])
+    here, there = (shape.posed.sample for shape in shapes)
+    # the image of each sample of the source, by the nearest vertex that has one
+    points = shapes[0].points
+    image = by_way[known[KDTree(points[known]).query(points[here])[1]]]
+    keys = shapes[1].posed.keys()
+    start = (
+        np.asarray(KDTree(keys[there]).query(keys[image])[1]),
+        np.asarray(KDTree(keys[image]).query(keys[there])[1]),
+    )
+    embeddings = source.embedded, target.embedded
+    candidate = spectral_candidate(
+        CHAIN, shapes[0], shapes[1], embeddings, start=start, sizes=FROM_POSE
+    )
+    ((_, found),) = _judged([candidate], shapes, descriptors)
+    nothing: IntArray = np.zeros(0, dtype=np.int64)
+    return Choice(candidate, found, {CHAIN: cost(found)}, nothing)
 
 
 def _is_sure(found: Sequence[tuple[Candidate, Evidence]]) -> bool:

@@ -16,7 +16,7 @@ from esd.learning.model import Model, load_model
 from esd.matching.adapt import adapted_model, check_adaptation
 from esd.matching.assignment import one_to_one as assignment
 from esd.matching.candidates import Candidate, Rows
-from esd.matching.choice import Choice, check_candidates, chosen
+from esd.matching.choice import Choice, chained, check_candidates, chosen
 from esd.matching.confidence import Adaptation, confidence, judgement
 from esd.matching.correspondence import Correspondence
 from esd.matching.features import Features, reflected, shape_features
@@ -210,12 +210,16 @@ def match_features(
     landmarks: IntArray | None = None,
     mirror: Mirror = "auto",
     adapt: bool = False,
+    by_way: IntArray | None = None,
     cache: Cache | None = None,
 ) -> Correspondence:
     """As `match`, of the features of a source and a target by the model.
 
     Parameters
     ----------
+    by_way : (n,)
+        A map between the original vertices, -1 for none, such as one by way of other shapes. It is
+        refined, and no candidates are computed.
     cache
         Where spectra of the copies that a model is adapted on are looked up and kept.
     """
@@ -239,17 +243,21 @@ def match_features(
             cache=cache,
         )
         source, target = source.embedded_by(model), target.embedded_by(model)
-    if is_mesh and (refine or candidates or landmarks is not None or mirror == "yes"):
+    choice: Choice | None = None
+    if by_way is not None and is_mesh:
+        choice = chained(source, target, _on_shapes(by_way, source, target))
+    elif is_mesh and (refine or candidates or landmarks is not None or mirror == "yes"):
         choice, mirrored = _mirror_chosen(
             source, target, model=model, names=candidates, landmarks=landmarks, mirror=mirror
         )
         if mirrored is not None:
             source, is_mirrored = mirrored, True
+    elif landmarks is not None or mirror == "yes":
+        raise InputError("Landmarks and mirror images need meshes; these are points.")
+    if choice is not None:
         expected = accuracy(choice.evidence)
         costs, contradicted = choice.costs, tuple(used[choice.contradicted].tolist())
         maps = _full_maps(source, target, choice.candidate, refine=refine, device=model.device)
-    elif landmarks is not None or mirror == "yes":
-        raise InputError("Landmarks and mirror images need meshes; these are points.")
     else:
         maps = _nearest_maps(source, target, refine=refine, device=model.device)
     is_copy = source.copy is not None or target.copy is not None
@@ -294,6 +302,16 @@ def _located(landmarks: IntArray, source: Features, target: Features) -> tuple[I
     pairs = np.stack([here, there], axis=1)[found]
     pairs = check_landmarks(pairs, len(source.shape.vertices), len(target.shape.vertices))
     return pairs, np.flatnonzero(found)
+
+
+def _on_shapes(index: IntArray, source: Features, target: Features) -> IntArray:
+    """A map between original vertices as one between those of the shapes, (r,); -1 for none."""
+    here = np.flatnonzero(index >= 0)
+    ends = source.located(here), target.located(index[here])
+    found = (ends[0] >= 0) & (ends[1] >= 0)
+    result = np.full(len(source.shape.vertices), -1, dtype=np.int64)
+    result[ends[0][found]] = ends[1][found]
+    return result
 
 
 def _mirror_chosen(
