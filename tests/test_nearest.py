@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from esd.common import InputError
-from esd.nearest import nearest
+from esd.nearest import nearest, nearest_within
 
 
 @pytest.mark.parametrize("width", [3, 100])  # by tree, by products
@@ -28,3 +28,20 @@ def test_rows_that_are_not_finite_take_no_part():
         nearest(source, target[:1])
     with pytest.raises(InputError, match="equally long"):
         nearest(source, np.zeros((3, 2)))
+
+
+def test_rows_within_reach_are_those_of_the_cells_that_a_group_may_go_to():
+    generator = np.random.default_rng(0)
+    source, target = generator.standard_normal((60, 4)), generator.standard_normal((80, 4))
+    source[3], target[5] = np.nan, np.nan
+    groups, cells = generator.integers(0, 3, 60), generator.integers(0, 6, 80)
+    reach = [np.arange(6), np.array([1, 4]), np.zeros(0, dtype=int)]
+    index, products = nearest_within(source, target, groups, cells, reach)
+    everywhere, _ = nearest(source, target)
+    np.testing.assert_array_equal(index[groups == 0], everywhere[groups == 0])
+    some = (groups == 1) & (index >= 0)
+    allowed = np.flatnonzero(np.isin(cells, reach[1]))
+    np.testing.assert_array_equal(index[some], allowed[nearest(source[some], target[allowed])[0]])
+    assert (index[groups == 2] == -1).all()
+    assert index[3] == -1
+    assert products < 60 * 80

@@ -1,8 +1,10 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from esd.common import InputError
-from esd.matching.functional_map import functional_map, spectral_rows
+from esd.matching.functional_map import fitted_map, functional_map, spectral_rows
 from esd.mesh.mesh import Mesh
 from esd.spectral.spectrum import spectrum
 
@@ -35,3 +37,18 @@ def test_vertices_without_a_match_take_no_part(blob):
         functional_map(eigenpairs, eigenpairs, np.full(len(index), -1), size=5)
     with pytest.raises(InputError, match="`size` must be from 1 to 5, the eigenpairs; got 6"):
         functional_map(eigenpairs, eigenpairs, index, size=6)
+
+
+def test_the_map_fitted_to_samples_is_that_of_all_vertices(blob):
+    """Of a shape to itself it is the identity, although a sample's functions are not orthogonal."""
+    whole = spectrum(blob, 20)
+    chosen = np.random.default_rng(0).choice(len(blob.vertices), 200, replace=False)
+    sample = replace(
+        whole, eigenvectors=whole.eigenvectors[chosen], mass=np.full(len(chosen), 1 / len(chosen))
+    )
+    every = np.arange(len(chosen))
+    np.testing.assert_allclose(
+        fitted_map(sample, sample, every, size=20), np.eye(20), atol=1e-4
+    )  # the ridge of 1e-6, over the least eigenvalue of the overlap
+    projected = functional_map(sample, sample, every, size=20)
+    assert np.abs(projected - np.eye(20)).max() > 0.05

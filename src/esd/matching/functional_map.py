@@ -7,6 +7,8 @@ import numpy as np
 from esd.common import FloatArray, InputError, IntArray
 from esd.spectral.spectrum import Spectrum
 
+_RIDGE = 1e-6  # for samples of hardly more points than functions
+
 
 def functional_map(
     source: Spectrum, target: Spectrum, target_index: IntArray, *, size: int
@@ -40,8 +42,30 @@ def functional_map(
     if not matched.any():
         raise InputError("The map has no match.")
     source, target = source.with_area(1.0), target.with_area(1.0)
-    weighted = source.mass[matched, None] * source.eigenvectors[matched, :size]
+    weighted = source.eigenvectors[matched, :size]
+    weighted = source.mass[matched, None].astype(weighted.dtype) * weighted
     return np.asarray(weighted.T @ target.eigenvectors[target_index[matched], :size])
+
+
+def fitted_map(
+    source: Spectrum, target: Spectrum, target_index: IntArray, *, size: int
+) -> FloatArray:
+    """As `functional_map`, of shapes of which the spectra have a sample of the vertices only.
+
+    There the eigenfunctions are not orthonormal, and the projection is the solution of a least
+    squares problem: C = (Φₛᵀ Mₛ Φₛ)⁻¹ Φₛᵀ Mₛ Φₜ[T].
+
+    Raises
+    ------
+    InputError
+        As `functional_map` does.
+    """
+    projected = functional_map(source, target, target_index, size=size)
+    matched = target_index >= 0
+    rows = source.with_area(1.0).eigenvectors[matched, :size]
+    overlap = (source.mass[matched, None].astype(rows.dtype) * rows).T @ rows
+    overlap[np.diag_indices(size)] += _RIDGE * np.trace(overlap) / size
+    return np.asarray(np.linalg.solve(overlap, projected))
 
 
 def spectral_rows(

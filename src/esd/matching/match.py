@@ -22,7 +22,8 @@ from esd.matching.correspondence import Correspondence
 from esd.matching.features import Features, reflected, shape_features
 from esd.matching.judge import accuracy
 from esd.matching.landmarks import check_landmarks
-from esd.matching.refine import SIZES, joint_rows, mean_squared_distance, zoomout
+from esd.matching.local_refine import Level, levels, local_zoomout
+from esd.matching.refine import SIZES, joint_rows, mean_squared_distance
 from esd.mesh.convert import MeshLike
 from esd.mesh.geometry import is_referenced
 from esd.mesh.mesh import Mesh, PointCloud
@@ -77,7 +78,8 @@ def match(
     model
         A `Model`, or what `load_model` takes.
     refine
-        Whether the map is refined by `zoomout`; by default if the model tells left from right.
+        Whether the map is refined, see `local_zoomout`; by default if the model tells left from
+        right.
     one_to_one
         Whether no target vertex may be matched twice; source vertices are then left out.
     candidates
@@ -349,36 +351,46 @@ class _Maps:
 def _nearest_maps(source: Features, target: Features, *, refine: bool, device: str) -> _Maps:
     """Maps by nearest embeddings, refined or not."""
     embeddings = source.embedded, target.embedded
-    start = nearest(*embeddings, device=device)[0], nearest(*embeddings[::-1], device=device)[0]
-    if not refine:
-        return _Maps(*start, lambda: embeddings)
-    return _refined_maps(source, target, start, embeddings, device=device)
+    if refine:
+        return _refined_maps(source, target, embeddings, embeddings, embeddings)
+    index, _ = nearest(*embeddings, device=device)
+    return _Maps(index, nearest(*embeddings[::-1], device=device)[0], lambda: embeddings)
 
 
 def _full_maps(
     source: Features, target: Features, candidate: Candidate, *, refine: bool, device: str
 ) -> _Maps:
     """The maps of a candidate, refined with its embeddings if it has any."""
-    forward, backward = candidate.forward, candidate.backward[::-1]
-    start = nearest(*forward, device=device)[0], nearest(*backward, device=device)[0]
-    if candidate.embeddings is None or not refine:
-        return _Maps(*start, lambda: forward)
-    return _refined_maps(source, target, start, candidate.embeddings, device=device)
+    forward, backward = candidate.forward, candidate.backward
+    if refine and candidate.embeddings is not None:
+        return _refined_maps(source, target, forward, backward, candidate.embeddings)
+    index, _ = nearest(*forward, device=device)
+    return _Maps(index, nearest(*backward[::-1], device=device)[0], lambda: forward)
 
 
 def _refined_maps(
-    source: Features,
-    target: Features,
-    start: tuple[IntArray, IntArray],
-    embeddings: Rows,
-    *,
-    device: str,
+    source: Features, target: Features, forward: Rows, backward: Rows, embeddings: Rows
 ) -> _Maps:
+    """Maps refined from those that go to the nearest of some rows."""
     spectra = source.spectrum, target.spectrum
-    index = zoomout(*spectra, start[0], embeddings=embeddings, device=device)
-    back = zoomout(
-        *spectra[::-1], start[1], sizes=_BACK_SIZES, embeddings=embeddings[::-1], device=device
+    count = max(len(spectrum.mass) for spectrum in spectra)
+
+    def leveled(features: Features) -> tuple[Level, ...]:
+        return levels(features.spectrum, features.shape.vertices, count=count)
+
+    here, there = side_by_side(leveled, (source, target))
+    ways = (
+        partial(local_zoomout, here, there, forward, embeddings=embeddings),
+        partial(
+            local_zoomout,
+            there,
+            here,
+            backward[::-1],
+            embeddings=embeddings[::-1],
+            sizes=_BACK_SIZES,
+        ),
     )
+    (index, _), (back, _) = side_by_side(lambda way: way(), ways)
     size = min(SIZES[-1], *(len(spectrum.eigenvalues) for spectrum in spectra))
     return _Maps(index, back, lambda: joint_rows(*spectra, index, size=size, embeddings=embeddings))
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from esd.common import FloatArray, InputError, IntArray
-from esd.matching.functional_map import functional_map, spectral_rows
+from esd.matching.functional_map import fitted_map, functional_map, spectral_rows
 from esd.nearest import nearest
 from esd.spectral.spectrum import Spectrum
 
@@ -30,6 +30,7 @@ def zoomout(
     embeddings: tuple[FloatArray, FloatArray] | None = None,
     weight: float | None = None,
     bijective: bool = False,
+    sampled: bool = False,
     device: str = "cpu",
 ) -> IntArray:
     """The target vertex of each source vertex, (n,), refined with more and more eigenfunctions.
@@ -56,6 +57,9 @@ def zoomout(
     bijective
         Whether the map back is refined along with the map, each drawing on both, which takes twice
         the time.
+    sampled
+        Whether the spectra have samples of the vertices, see
+        `esd.matching.functional_map.fitted_map`.
     device
         Where nearest rows are found, see `esd.learning.model.Model`.
 
@@ -70,26 +74,45 @@ def zoomout(
     alone; Ren et al. 2020, *MapTree: recovering multiple solutions in the space of maps*, for the
     bijective steps.
     """
-    if not sizes or list(sizes) != sorted(set(sizes)) or sizes[0] < 1:
-        raise InputError(f"`sizes` must be ascending numbers from 1 on; got {tuple(sizes)}.")
-    available = min(len(source.eigenvalues), len(target.eigenvalues))
-    used = [size for size in sizes if size < available]
-    if len(used) < len(sizes):
-        used.append(available)
+    used = usable_sizes(sizes, source, target)
     index, back = target_index, _backwards(target_index, len(target.mass))
+    mapped = fitted_map if sampled else functional_map
     if weight is None:
-        first = spectral_rows(source, target, functional_map(source, target, index, size=used[0]))
-        misfit = _residual(*first, index) ** 2 / used[0]
-        weight = float(np.clip(_WEIGHT_OF_MISFIT * misfit, LEAST_WEIGHT, LARGEST_WEIGHT))
+        weight = isometry_weight(source, target, mapped(source, target, index, size=used[0]), index)
     for size in used:
-        rows = joint_rows(source, target, index, size=size, embeddings=embeddings, weight=weight)
+        functional = mapped(source, target, index, size=size)
+        rows = joined(source, target, functional, index, embeddings=embeddings, weight=weight)
         if bijective:
-            functional = functional_map(target, source, back, size=size)
-            rows = _side_by_side(rows, spectral_rows(target, source, functional)[::-1], 1.0)
+            functional = mapped(target, source, back, size=size)
+            rows = side_by_side_rows(rows, spectral_rows(target, source, functional)[::-1], 1.0)
         index, _ = nearest(*rows, device=device)
         if bijective:
             back, _ = nearest(*rows[::-1], device=device)
     return index
+
+
+def usable_sizes(sizes: Sequence[int], source: Spectrum, target: Spectrum) -> list[int]:
+    """The numbers of eigenfunctions that both shapes have, or all that they have for larger ones.
+
+    Raises
+    ------
+    InputError
+        If the numbers are not ascending.
+    """
+    if not sizes or list(sizes) != sorted(set(sizes)) or sizes[0] < 1:
+        raise InputError(f"`sizes` must be ascending numbers from 1 on; got {tuple(sizes)}.")
+    available = min(len(source.eigenvalues), len(target.eigenvalues))
+    used = [size for size in sizes if size < available]
+    return used if len(used) == len(sizes) else [*used, available]
+
+
+def isometry_weight(
+    source: Spectrum, target: Spectrum, functional: FloatArray, target_index: IntArray
+) -> float:
+    """The default weight of embeddings in `zoomout`, by how well a functional map fits a map."""
+    rows = spectral_rows(source, target, functional)
+    misfit = _residual(*rows, target_index) ** 2 / len(functional)
+    return float(np.clip(_WEIGHT_OF_MISFIT * misfit, LEAST_WEIGHT, LARGEST_WEIGHT))
 
 
 def joint_rows(
@@ -103,16 +126,42 @@ def joint_rows(
 ) -> tuple[FloatArray, FloatArray]:
     """Rows of the vertices of both shapes that are close where a map and its embeddings agree.
 
-    The `spectral_rows` of the map's functional map of a size, and the embeddings beside them, in
-    32 bits, which are far finer than they are accurate, and take half the time and memory; see
-    `zoomout` for the parameters. NaN at vertices without a face.
+    See `joined`, with the map's functional map of a size, and `zoomout` for the parameters.
     """
-    rows = spectral_rows(source, target, functional_map(source, target, target_index, size=size))
+    functional = functional_map(source, target, target_index, size=size)
+    return joined(source, target, functional, target_index, embeddings=embeddings, weight=weight)
+
+
+def joined(
+    source: Spectrum,
+    target: Spectrum,
+    functional: FloatArray,
+    target_index: IntArray,
+    *,
+    embeddings: tuple[FloatArray, FloatArray] | None,
+    weight: float,
+) -> tuple[FloatArray, FloatArray]:
+    """The `spectral_rows` of a functional map, and embeddings beside them.
+
+    In 32 bits, which are far finer than the rows are accurate, and take half the time and memory.
+    NaN at vertices without a face. See `zoomout` for the weight.
+    """
+    rows = spectral_rows(source, target, functional)
     if embeddings is None:
         return rows[0].astype(np.float32), rows[1].astype(np.float32)
+    return side_by_side_rows(rows, embeddings, scale_beside(rows, embeddings, target_index, weight))
+
+
+def scale_beside(
+    rows: tuple[FloatArray, FloatArray],
+    embeddings: tuple[FloatArray, FloatArray],
+    target_index: IntArray,
+    weight: float,
+) -> float:
+    """The factor of embeddings beside spectral rows, by how far matched vertices are in both."""
     least = 1e-3 * np.sqrt(mean_squared_distance(*embeddings))
     gap = max(_residual(*embeddings, target_index), least)
-    return _side_by_side(rows, embeddings, weight * _residual(*rows, target_index) / gap)
+    return weight * _residual(*rows, target_index) / gap
 
 
 def mean_squared_distance(source: FloatArray, target: FloatArray) -> float:
@@ -140,7 +189,7 @@ def _residual(source: FloatArray, target: FloatArray, target_index: IntArray) ->
     return float(np.sqrt(np.nanmean(np.concatenate(squares))))
 
 
-def _side_by_side(
+def side_by_side_rows(
     first: tuple[FloatArray, FloatArray], second: tuple[FloatArray, FloatArray], scale: float
 ) -> tuple[FloatArray, FloatArray]:
     """Rows of the source, and of the target, of both kinds; the second times a scale."""
