@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from esd.population.shape_model import load_shape_model as load_shape_model
     from esd.population.shape_model import save_shape_model as save_shape_model
     from esd.registration.register import register as register
+    from esd.registration.register import register_sequence as register_sequence
     from esd.spectral.spectrum import Spectrum as Spectrum
     from esd.spectral.spectrum import spectrum as spectrum
     from esd.viewing.page import view as view
@@ -77,6 +78,7 @@ _HOMES = {
     "preset": "esd.learning.presets",
     "read_mesh": "esd.mesh.io.meshes",
     "register": "esd.registration.register",
+    "register_sequence": "esd.registration.register",
     "repair": "esd.mesh.repair.repair",
     "save_map": "esd.matching.correspondence",
     "save_model": "esd.learning.model",

@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import pytest
 
 from command import run
 from esd.mesh.io.meshes import read_mesh, write_mesh
@@ -39,3 +40,39 @@ def test_outputs_never_replace_inputs_and_options_exclude_each_other(blob, tmp_p
     both = ("--map", file, "--landmarks", file)
     done = run("register", file, file, "-o", tmp_path / "o.ply", *both, expect=2)
     assert "not both" in done.stderr
+
+
+def test_the_frames_of_an_animation_are_written_to_a_folder(blob, tmp_path):
+    for number in (1, 2, 10):
+        moved = Mesh(blob.vertices + np.array([0.01 * number, 0, 0]), blob.faces)
+        write_mesh(moved, tmp_path / "in" / f"f{number}.off")
+    write_mesh(blob, tmp_path / "template.off")
+    np.save(tmp_path / "map.npy", np.arange(len(blob.vertices)))
+    given = ("--map", tmp_path / "map.npy", "-o", tmp_path / "out")
+    done = run("register", tmp_path / "template.off", tmp_path / "in", *given, "--json")
+    frames = json.loads(done.stdout)["frames"]
+    assert [each["frame"] for each in frames] == ["f1.off", "f2.off", "f10.off"]
+    assert [each["by_map"] for each in frames] == [True, False, False]
+    found = read_mesh(tmp_path / "out" / "f10.off")
+    assert np.linalg.norm(found.vertices - blob.vertices - [0.1, 0, 0], axis=1).mean() < 0.02
+
+
+@pytest.mark.parametrize(
+    ("scans", "code", "message"),
+    [
+        (["in", "in"], 2, "one folder of frames, or their files"),
+        (["empty"], 1, "There is no mesh in 'empty'"),
+        (["in/a.off", "other/a.off"], 1, "Several frames are named 'a'"),
+        (["in/a.off", "in/none.off"], 1, "in/none.off"),
+    ],
+)
+def test_frames_that_cannot_be_told_apart_are_refused(
+    blob, tmp_path, monkeypatch, scans, code, message
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "empty").mkdir()
+    for name in ("template.off", "in/a.off", "other/a.off"):
+        write_mesh(blob, tmp_path / name)
+    np.save("map.npy", np.arange(len(blob.vertices)))
+    done = run("register", "template.off", *scans, "--map", "map.npy", "-o", "out", expect=code)
+    assert message in " ".join(done.stderr.split())

@@ -30,19 +30,24 @@ def test_three_places_of_a_moved_template_carry_all_of_it_along():
     assert np.abs(found - moved).max() < 0.02 * body.unit
 
 
-def test_free_vertices_are_laid_as_they_are_at_rest_or_as_a_membrane():
+def test_free_vertices_are_placed_as_at_rest():
     rest = subdivide(torus(12, 8))
     body = elastic(rest)
-    free = np.zeros(len(rest.vertices))
-    free[rest.faces[0]] = 1.0
+    free = np.zeros(len(rest.vertices), dtype=bool)
+    free[rest.faces[0]] = True
     broken = rest.vertices + free[:, None] * [0.0, 0.0, -5.0]
-    laid = body.filled(broken, free)
     # the links to the displaced vertices held, of weight 1e-6, pull them by a millionth or so
-    assert laid == pytest.approx(rest.vertices, abs=1e-4)
-    membrane = body.filled(broken, free, membrane=True)
-    stay = free == 0
-    assert (membrane[stay] == broken[stay]).all()
-    assert np.abs(membrane - rest.vertices).max() < 0.5
+    assert body.filled(broken, free) == pytest.approx(rest.vertices, abs=1e-4)
+
+
+def test_free_vertices_are_smoothed_to_the_mean_of_their_neighbours():
+    rest = subdivide(torus(12, 8))
+    free = np.arange(len(rest.vertices)) == 5
+    moved = rest.vertices + free[:, None] * [0.0, 0.0, -5.0]
+    found = elastic(rest).smoothed(moved, free)
+    around = np.setdiff1d(rest.faces[(rest.faces == 5).any(axis=1)], 5)
+    assert found[5] == pytest.approx(rest.vertices[around].mean(axis=0))
+    assert (found[~free] == rest.vertices[~free]).all()
 
 
 def test_loose_pieces_move_with_the_nearest_piece():

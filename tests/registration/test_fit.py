@@ -4,7 +4,8 @@ import pytest
 from esd.common import InputError
 from esd.mesh.mesh import Mesh, PointCloud
 from esd.mesh.shapes import subdivide, torus
-from esd.registration.fit import fit, is_inverted
+from esd.registration.elastic import elastic
+from esd.registration.fit import fit, is_inverted, without_inverted
 from esd.registration.quality import distance_to, quality
 
 
@@ -82,3 +83,27 @@ def test_a_face_is_inverted_where_a_vertex_is_pushed_across_its_neighbours():
     assert not is_inverted(Mesh(vertices, faces)).any()
     vertices[12, 0] += 1.5  # past the vertex beside it
     assert is_inverted(Mesh(vertices, faces)).any()
+
+
+def test_crumpled_faces_are_turned_back(template):
+    generator = np.random.default_rng(0)
+    near = np.linalg.norm(template.vertices - template.vertices[0], axis=1) < 0.6
+    assert 20 < near.sum() < len(near) / 4
+    noise = 0.2 * generator.normal(size=template.vertices.shape)
+    crumpled = np.where(near[:, None], template.vertices + noise, template.vertices)
+    before = is_inverted(Mesh(crumpled, template.faces))
+    assert before.sum() > 10
+    found = without_inverted(elastic(template), crumpled, template.faces)
+    assert not is_inverted(Mesh(found, template.faces)).any()
+    far = np.linalg.norm(template.vertices - template.vertices[0], axis=1) > 1.5
+    assert (found[far] == template.vertices[far]).all()
+
+
+def test_a_start_keeps_the_scale_that_it_is_given(template):
+    doubled = Mesh(2 * template.vertices, template.faces)
+    none = np.full(len(template.vertices), -1)
+    found = fit(
+        template, doubled, none, np.zeros(len(none)), start=doubled.vertices + 0.03, scale=2.0
+    )
+    assert found.scale == 2.0
+    assert quality(template, doubled, found).stretch == pytest.approx((1, 1, 1), abs=0.03)

@@ -2,12 +2,14 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import esd
 from esd.common import InputError
 from esd.matching.correspondence import Correspondence
 from esd.mesh.geometry import is_referenced
 from esd.mesh.mesh import Mesh, PointCloud
+from esd.registration import register as registering
 
 
 def bent(mesh: Mesh) -> Mesh:
@@ -69,6 +71,31 @@ def test_a_scan_may_be_points(blob):
     scan = bent(blob)
     found = esd.register(blob, PointCloud(scan.vertices), correspondence=identity(blob))
     assert misses(found.mesh, scan).mean() < 0.01
+
+
+def turned(mesh: Mesh, angle: float) -> Mesh:
+    rotation = Rotation.from_euler("z", angle).as_matrix()
+    return Mesh(mesh.vertices @ rotation.T, mesh.faces)
+
+
+def test_frames_start_from_the_last_and_only_lost_ones_are_matched(blob, monkeypatch):
+    matched = []
+
+    def true(template, scan, **options):
+        matched.append(1)
+        return identity(blob)
+
+    monkeypatch.setattr(registering, "match", true)
+    # frames that turn on by a little, the next to last one by too much to follow
+    angles = [0.0, 0.05, 0.1, 1.5, 1.55]
+    scans = [turned(bent(blob), angle) for angle in angles]
+    found = list(esd.register_sequence(blob, iter(scans)))
+    assert [each.match is not None for each in found] == [True, False, False, True, False]
+    assert len(matched) == 2
+    for each, scan in zip(found, scans, strict=True):
+        assert misses(each.mesh, scan).mean() < 0.02
+        assert each.quality.inverted == 0
+        assert each.scale == pytest.approx(1.0, rel=0.02)
 
 
 def test_what_does_not_fit_is_refused(blob):

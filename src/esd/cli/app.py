@@ -63,6 +63,7 @@ _EXAMPLES: dict[Callable[..., None], tuple[str, ...]] = {
     register: (
         "esd register template.ply scan.ply -o registered.ply",
         "esd register template.obj scan.ply --map map.csv -o registered.obj",
+        "esd register template.ply frames -o registered",
     ),
     atlas: (
         "esd atlas FOLDER -o atlas",

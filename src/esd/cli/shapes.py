@@ -11,6 +11,7 @@ from esd.cli.output import about
 
 if TYPE_CHECKING:
     from esd.common import IntArray
+    from esd.mesh.convert import MeshLike
     from esd.mesh.mesh import Mesh, PointCloud
 
 
@@ -45,7 +46,7 @@ def read_drawable(path: Path) -> Mesh:
 
 
 def landmark_pairs(
-    files: list[Path], source: Path, target: Path
+    files: list[Path], source: MeshLike, target: MeshLike
 ) -> tuple[tuple[str, ...], IntArray | None]:
     """Names of landmarks, and pairs (l, 2) of vertices; none if there is no file."""
     if not files:

@@ -11,8 +11,8 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 from scipy.spatial import KDTree
 
-from esd.common import FloatArray, IntArray
-from esd.mesh.geometry import components, vertex_areas
+from esd.common import BoolArray, FloatArray, IntArray
+from esd.mesh.geometry import adjacency, components, vertex_areas
 from esd.mesh.mesh import Mesh
 from esd.mesh.topology import EdgeTable, edge_table
 from esd.spectral.laplacian import cotangents
@@ -138,33 +138,25 @@ class Elastic:
         return np.asarray(solve(right))
 
     def filled(
-        self,
-        vertices: npt.NDArray[np.float64],
-        is_free: npt.NDArray[np.float64],
-        *,
-        membrane: bool = False,
+        self, vertices: npt.NDArray[np.float64], is_free: BoolArray
     ) -> npt.NDArray[np.float64]:
-        """The vertices with the free ones laid anew between the others, (n, 3).
-
-        Parameters
-        ----------
-        is_free : (n,)
-            One for free vertices, zero for those that stay.
-        membrane
-            Whether they are laid as flat as a membrane, and not in the shape that they have at
-            rest.
-        """
-        inner = np.flatnonzero(is_free)
-        fixed = np.flatnonzero(is_free == 0)
+        """The vertices with the free ones, (n,), placed anew: between the others, as at rest."""
+        inner, fixed = np.flatnonzero(is_free), np.flatnonzero(~is_free)
         rows = self.laplacian[inner]
-        right = -rows[:, fixed] @ vertices[fixed]
-        if not membrane:
-            rotations = self._spread(self._moments(vertices, 1.0 - is_free))
-            right = right + self._divergence(rotations)[inner]
+        rotations = self._spread(self._moments(vertices, (~is_free).astype(float)))
+        right = self._divergence(rotations)[inner] - rows[:, fixed] @ vertices[fixed]
         result = vertices.copy()
         held = sparse.eye_array(len(inner)) * _HELD
         result[inner] = _solver(rows[:, inner] + held)(right + _HELD * vertices[inner])
         return result
+
+    def smoothed(
+        self, vertices: npt.NDArray[np.float64], is_free: BoolArray
+    ) -> npt.NDArray[np.float64]:
+        """The vertices with the free ones, (n,), moved to the mean of their neighbours."""
+        joined = adjacency(self.edge, len(vertices)).astype(float)
+        mean = (joined @ vertices) / joined.sum(axis=1)[:, None]
+        return np.where(is_free[:, None], mean, vertices)
 
     def _moments(
         self, vertices: npt.NDArray[np.float64], weight: npt.NDArray[np.float64] | None = None

@@ -24,7 +24,9 @@ _TANGENTIAL = 0.05  # weight of a nearest point along the surface, beside that a
 _REACH = (0.1, 0.03)  # in √area: farthest nearest point that counts; first and last round
 _ORIENTED = 0.1  # in √area: length of the normals beside positions, as nearest points are sought
 _LEAST_COSINE = 0.5  # of the normals at a vertex and at its nearest point
-_ATTEMPTS = 10  # to turn inverted faces back, each with a wider neighbourhood
+_FILLINGS = 4  # of the surroundings of inverted faces, each wider
+_SMOOTHINGS = 100  # of what is still inverted then
+_WIDENED = 5  # smoothings, after which the surroundings are wider
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,6 +55,7 @@ def fit(
     confidence: FloatArray,
     *,
     start: npt.NDArray[np.float64] | None = None,
+    scale: float = 1.0,
 ) -> Fit:
     """The template's vertices on a scan.
 
@@ -71,6 +74,9 @@ def fit(
         Weights of these from 0 to 1; NaN counts as 1.
     start : (n, 3), optional
         Positions to start from, such as those of the frame before. The map may then be empty.
+    scale
+        Lengths of the scan over those of the template, where there is a start; otherwise it follows
+        from the map.
 
     Raises
     ------
@@ -86,7 +92,8 @@ def fit(
     if start is None and not weight.any():
         raise InputError("No vertex of the template has a match on the scan.")
     image = scan.vertices[target_index]
-    scale = 1.0 if start is not None else _scale(template, scan, target_index, weight)
+    if start is None:
+        scale = _scale(template, scan, target_index, weight)
     body = elastic(Mesh(scale * template.vertices, template.faces))
     unit = body.unit
 
@@ -112,7 +119,7 @@ def fit(
         position /= np.maximum(total, np.finfo(float).tiny)[:, None]
         height = (near.points * near.normals).sum(axis=1)
         vertices = body.drawn(vertices, Pull(position, total, near.normals, height, along), length)
-    vertices = _turned_back(body, vertices, template.faces)
+    vertices = without_inverted(body, vertices, template.faces)
     return Fit(vertices, near.accepted, scale)
 
 
@@ -133,22 +140,26 @@ def is_inverted(mesh: Mesh) -> BoolArray:
     return np.asarray(((normal * around).sum(axis=1) <= 0) & has_neighbours)
 
 
-def _turned_back(
+def without_inverted(
     body: Elastic, vertices: npt.NDArray[np.float64], faces: IntArray
 ) -> npt.NDArray[np.float64]:
-    """The vertices with neighbourhoods of inverted faces laid anew between the others."""
+    """The vertices, (n, 3), with surroundings of inverted faces placed anew, or else smoothed.
+
+    Faces that are inverted at rest stay as they are.
+    """
     at_rest = is_inverted(Mesh(body.rest, faces))
-    for attempt in range(_ATTEMPTS):
+    for attempt in range(_FILLINGS + _SMOOTHINGS):
         inverted = is_inverted(Mesh(vertices, faces)) & ~at_rest
         if not inverted.any():
             break
+        is_filling = attempt < _FILLINGS
         free = np.zeros(len(vertices), dtype=bool)
         free[faces[inverted]] = True
-        for _ in range(attempt % (_ATTEMPTS // 2)):
+        for _ in range(attempt if is_filling else (attempt - _FILLINGS) // _WIDENED):
             free[faces[free[faces].any(axis=1)]] = True
         if free.all():
             break
-        vertices = body.filled(vertices, free.astype(float), membrane=attempt >= _ATTEMPTS // 2)
+        vertices = (body.filled if is_filling else body.smoothed)(vertices, free)
     return vertices
 
 

@@ -12,10 +12,13 @@ from esd.mesh.convert import as_mesh, with_attributes
 from esd.mesh.io.attributes import (
     read_vertex_colours,
     write_coloured,
+    write_mesh_like,
     write_with_attributes,
 )
 from esd.mesh.io.meshes import read_mesh, write_mesh
+from esd.mesh.io.ply import ply_elements
 from esd.mesh.io.textures import Texture, read_texture, write_textured
+from esd.mesh.mesh import Mesh
 from esd.mesh.shapes import grid, torus
 
 Image = pytest.importorskip("PIL.Image", reason="pillow is not installed")
@@ -172,3 +175,59 @@ def test_other_packages_get_their_meshes_back():
         with_attributes(mesh, values)
     with pytest.raises(InputError, match="each of 35 vertices; got 3"):
         with_attributes(theirs, {"x": np.arange(3)})
+
+
+@pytest.mark.parametrize("form", ["ascii", "binary_big_endian"])
+def test_numbers_at_the_vertices_of_a_ply_file_stay(tmp_path, form):
+    mesh = grid(3, 3)
+    count = len(mesh.vertices)
+    kinds = {"red": ("uchar", ">u1"), "label": ("ushort", ">u2"), "mark": ("int", ">i4")}
+    values = {name: np.arange(count) % 7 + 250 for name in kinds}
+    values["red"] = np.arange(count) + 200
+    head = [f"ply\nformat {form} 1.0\nelement vertex {count}"]
+    head += [f"property double {axis}" for axis in ("x", "y", "z", "nx")]
+    head += [f"property {kind} {name}" for name, (kind, _) in kinds.items()]
+    head += [f"element face {len(mesh.faces)}", "property list uchar int vertex_indices"]
+    head = "\n".join([*head, "end_header\n"])
+    rows = np.empty(
+        count,
+        [*((axis, ">f8") for axis in ("x", "y", "z", "nx"))]
+        + [(n, k) for n, (_, k) in kinds.items()],
+    )
+    for axis, column in zip("xyz", mesh.vertices.T, strict=True):
+        rows[axis] = column
+    rows["nx"] = 0.5
+    for name in kinds:
+        rows[name] = values[name]
+    faces = np.empty(len(mesh.faces), [("count", "u1"), ("corners", ">i4", 3)])
+    faces["count"], faces["corners"] = 3, mesh.faces
+    if form == "ascii":
+        lines = [" ".join(map(str, row.tolist())) for row in rows]
+        lines += [f"3 {a} {b} {c}" for a, b, c in mesh.faces]
+        content = (head + "\n".join(lines)).encode()
+    else:
+        content = head.encode() + rows.tobytes() + faces.tobytes()
+    (tmp_path / "a.ply").write_bytes(content)
+    moved = Mesh(mesh.vertices + 1, mesh.faces)
+    write_mesh_like(moved, tmp_path / "b.ply", original=tmp_path / "a.ply")
+    np.testing.assert_array_equal(read_mesh(tmp_path / "b.ply").vertices, moved.vertices)
+    vertex = ply_elements(tmp_path / "b.ply")["vertex"]
+    assert set(vertex) == {"x", "y", "z", *kinds}  # the normals are no longer those
+    for name, (_, kind) in kinds.items():
+        np.testing.assert_array_equal(vertex[name], values[name])
+        assert vertex[name].dtype.str[1:] == kind[1:]
+
+
+def test_other_formats_take_the_mesh_alone_and_textures_go_along(tmp_path):
+    mesh = grid(3, 3)
+    moved = Mesh(mesh.vertices + 1, mesh.faces)
+    write_mesh(mesh, tmp_path / "plain.obj")
+    for name in ("out.off", "out.obj"):
+        write_mesh_like(moved, tmp_path / name, original=tmp_path / "plain.obj")
+        np.testing.assert_allclose(read_mesh(tmp_path / name).vertices, moved.vertices)
+    corners = mesh.vertices[mesh.faces][:, :, :2] / 3
+    image = pytest.importorskip("PIL.Image").new("RGBA", (4, 4))
+    texture = Texture(corners, image)
+    write_textured(mesh, texture, tmp_path / "a.obj")
+    write_mesh_like(moved, tmp_path / "b.obj", original=tmp_path / "a.obj")
+    np.testing.assert_allclose(read_texture(tmp_path / "b.obj").coordinates, corners, atol=1e-6)

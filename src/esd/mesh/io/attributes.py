@@ -14,9 +14,10 @@ import numpy.typing as npt
 
 from esd.common import InputError, IntArray, whole_file
 from esd.mesh.io.gltf import read_gltf
-from esd.mesh.io.meshes import read_mesh
+from esd.mesh.io.meshes import read_mesh, write_mesh
 from esd.mesh.io.obj import read_obj
 from esd.mesh.io.ply import ply_bytes, ply_elements
+from esd.mesh.io.textures import TEXTURE_FORMATS, read_texture, write_textured
 from esd.mesh.mesh import Mesh, PointCloud
 
 ATTRIBUTE_FORMATS = (".ply", ".vtp")
@@ -26,6 +27,7 @@ _STOPS = (0.0, 0.25, 0.5, 0.75, 1.0)
 _COLOURS = np.array(  # of matplotlib's viridis at these stops
     [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]]
 )
+_OWN = ("x", "y", "z", "nx", "ny", "nz")  # of a PLY file, which another mesh has otherwise
 _VTK_TYPES = {"float64": "Float64", "float32": "Float32", "int64": "Int64", "int32": "Int32"}
 
 
@@ -109,6 +111,42 @@ def write_coloured(
     content = _surface(mesh, vertex_colors=colours).export(file_type=path.suffix.lower()[1:])
     with whole_file(path) as temporary:
         temporary.write_bytes(content)
+
+
+def write_mesh_like(
+    mesh: Mesh, path: str | os.PathLike[str], *, original: str | os.PathLike[str]
+) -> None:
+    """Write a mesh with the texture or the vertex attributes of a file of equal connectivity.
+
+    Textures go from OBJ and GLB files to such, numbers at vertices from PLY to PLY; between other
+    formats nothing goes along. Normals are left out: they are no longer those of the mesh.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+    """
+    path, original = Path(path), Path(original)
+    suffixes = original.suffix.lower(), path.suffix.lower()
+    if all(suffix in TEXTURE_FORMATS for suffix in suffixes):
+        try:
+            texture = read_texture(original)
+        except InputError:  # it has none
+            write_mesh(mesh, path)
+            return
+        if len(texture.coordinates) == len(mesh.faces):
+            write_textured(mesh, texture, path)
+            return
+    if suffixes == (".ply", ".ply"):
+        kept = {
+            name: values
+            for name, values in ply_elements(original)["vertex"].items()
+            if name not in _OWN and not isinstance(values, tuple)
+        }
+        with whole_file(path) as temporary:
+            temporary.write_bytes(ply_bytes(mesh, kept))
+        return
+    write_mesh(mesh, path)
 
 
 def _ply_columns(attributes: Mapping[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[Any]]:

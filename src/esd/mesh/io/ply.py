@@ -27,7 +27,10 @@ _TYPES = {
     **dict.fromkeys(("float", "float32"), "f4"),
     **dict.fromkeys(("double", "float64"), "f8"),
 }
-_NAMES = {"i1": "char", "u1": "uchar", "i4": "int", "f4": "float", "f8": "double"}
+_NAMES = {
+    **{"i1": "char", "u1": "uchar", "i2": "short", "u2": "ushort", "i4": "int", "u4": "uint"},
+    **{"f4": "float", "f8": "double"},
+}
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 
 Array: TypeAlias = npt.NDArray[Any]
@@ -107,8 +110,14 @@ def ply_elements(path: Path) -> dict[str, dict[str, Array | Lists]]:
 
 
 def ply_bytes(mesh: Mesh | PointCloud, attributes: Mapping[str, Array] | None = None) -> bytes:
-    """A binary PLY file of a shape, coordinates of 64 bits, with numbers (n,) at its vertices."""
-    columns = dict(zip("xyz", mesh.vertices.T.astype("<f8"), strict=True)) | dict(attributes or {})
+    """A binary PLY file of a shape, coordinates of 64 bits, with numbers (n,) at its vertices.
+
+    Integers of 64 bits, which PLY does not have, become floating-point numbers.
+    """
+    columns = dict(zip("xyz", mesh.vertices.T.astype("<f8"), strict=True))
+    for name, values in (attributes or {}).items():
+        kind = values.dtype.str[1:]  # PLY has no integers of 64 bits
+        columns[name] = values.astype(f"<{kind}" if kind in _NAMES else "<f8")
     vertices = np.empty(len(mesh.vertices), [(name, v.dtype) for name, v in columns.items()])
     for name, values in columns.items():
         vertices[name] = values
@@ -266,7 +275,11 @@ def _rows(element: _Element, read: _Text | _Binary) -> dict[str, Array | Lists]:
 
 def _converted(words: Array, each: _Property) -> Array:
     try:
-        return words.astype(float if each.item[0] == "f" else np.int64)
+        if each.item[0] == "f":
+            return words.astype(float)
+        whole = words.astype(np.int64)
+        declared = whole.astype(each.item)  # a value beyond the type keeps 64 bits
+        return declared if (declared == whole).all() else whole
     except ValueError:  # integers that are written as 1.0
         return words.astype(float).astype(each.item)
 
