@@ -90,18 +90,19 @@ def gradient_products(
         _wedge(steps, f, g) if parity == "odd" else _inner(weights, steps, f, g)
     )
     area, vectors = spectrum.area, spectrum.eigenvectors
-    floor = _FLOOR * squared.sum(axis=0) / area
+    floor = (_FLOOR * squared.sum(axis=0) / area).astype(vectors.dtype)
     decay = np.exp(-area * spectrum.eigenvalues[:, None] * times)[:, :, None]
+    decay = decay.astype(vectors.dtype)
 
     def diffused(values: FloatArray) -> FloatArray:
-        """Over all times, (n, t, columns)."""
-        smoothed = decay * (vectors.T @ values)[:, None]
+        """Over all times, (n, t, columns), in the precision of the eigenvectors."""
+        smoothed = decay * (vectors.T @ values.astype(vectors.dtype, copy=False))[:, None]
         return (vectors @ smoothed.reshape(len(smoothed), -1)).reshape(len(vectors), len(times), -1)
 
     size = np.sqrt(np.maximum(diffused(squared), floor))
     result = diffused(product)
     for i in range(len(times)):  # one at a time, for the memory that dense meshes take
-        result[:, i] /= np.maximum(size[:, i, f] * size[:, i, g], np.finfo(float).tiny)
+        result[:, i] /= np.maximum(size[:, i, f] * size[:, i, g], np.finfo(vectors.dtype).tiny)
     return result.reshape(len(result), -1)
 
 

@@ -128,7 +128,7 @@ class Model:
         return self.margin / 2
 
     def embed(self, values: FloatArray, operator: SparseMatrix | None = None) -> FloatArray:
-        """Embedding (n, outputs) float64 of descriptors (n, recipe.width).
+        """Embedding (n, outputs) of descriptors (n, recipe.width), in their precision.
 
         Parameters
         ----------
@@ -154,7 +154,11 @@ class Model:
         if self.patches is None and len(values) > _ROWS:
             parts = range(0, len(values), _ROWS)
             return np.concatenate([self.embed(values[i : i + _ROWS]) for i in parts])
-        result = standardised(values, self.mean, self.deviation, limit=self.limit)
+        values = values.astype(np.result_type(values, np.float32), copy=False)
+        mean, deviation = (
+            each.astype(values.dtype, copy=False) for each in (self.mean, self.deviation)
+        )
+        result = standardised(values, mean, deviation, limit=self.limit)
         result = self._after_layers(result, operator)
         if self.unit_length:
             result /= np.linalg.norm(result, axis=1, keepdims=True)
@@ -170,7 +174,8 @@ class Model:
         for i, layer in enumerate(self.layers):
             values = np.maximum(values, 0) if i else values
             if layer.weight.ndim == 2:
-                values = values @ layer.weight.T + layer.bias
+                weight = layer.weight.T.astype(values.dtype, copy=False)
+                values = values @ weight + layer.bias.astype(values.dtype, copy=False)
             else:
                 turned = isinstance(self.patches, GeodesicPatches)
                 values = convolution(operator, values, layer.weight, turned=turned) + layer.bias

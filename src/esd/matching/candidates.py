@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import linalg
 
 from esd.common import BoolArray, FloatArray, IntArray
 from esd.matching.extrinsic import Posed, posed, unit
@@ -196,8 +197,13 @@ def pair_descriptors(source: Sampled, target: Sampled) -> Rows:
     rows = standard(both)
     rows = rows[np.isfinite(rows).all(axis=1)]
     centre = rows.mean(axis=0)
-    _, axes = np.linalg.eigh((rows - centre).T @ (rows - centre))
-    axes = axes[:, -_COMPONENTS:]
+    width = rows.shape[1]
+    _, axes = linalg.eigh(
+        (rows - centre).T @ (rows - centre),
+        subset_by_index=(max(0, width - _COMPONENTS), width - 1),
+        overwrite_a=True,
+        check_finite=False,
+    )
     return (
         (standard(source.features.values) - centre) @ axes,
         (standard(target.features.values) - centre) @ axes,

@@ -82,8 +82,8 @@ def chosen(
     """The candidate of least cost, see `esd.matching.judge`.
 
     First come maps by embeddings and, unless these are sure, by the descriptors of the pair; the
-    similarities that fit them are starts of the alignment as well. Where one of them is sure and
-    the alignment shows that the shapes are of different poses, that is all.
+    similarities that fit them are starts of the alignment as well. Where one of them is sure, it is
+    the only start, and if the alignment then shows shapes of different poses, that is all.
 
     Parameters
     ----------
@@ -118,8 +118,9 @@ def chosen(
             landmark_candidates(shapes[0], shapes[1], sound, rows, names), shapes, descriptors
         )
     if any(name.startswith("extrinsic") for name in names):
-        alignment = _aligned(shapes, [candidate for candidate, _ in found])
-        if not _is_sure(found) or alignment.residual < _OTHER_POSE:
+        sure = _is_sure(found)
+        alignment = _aligned(shapes, [candidate for candidate, _ in found], search=not sure)
+        if not sure or alignment.residual < _OTHER_POSE:
             found += _judged(_extrinsic(shapes, alignment, rows, names), shapes, descriptors)
     costs = {candidate.name: cost(each) for candidate, each in found}
     best = min(found, key=lambda each: costs[each[0].name])
@@ -166,14 +167,16 @@ def _is_sure(found: Sequence[tuple[Candidate, Evidence]]) -> bool:
     return any(accuracy(each) >= _SURE for _, each in found)
 
 
-def _aligned(shapes: Sequence[Sampled], candidates: Sequence[Candidate]) -> Alignment:
-    """The source on the target, from the candidates' maps among other starts."""
+def _aligned(
+    shapes: Sequence[Sampled], candidates: Sequence[Candidate], *, search: bool
+) -> Alignment:
+    """The source on the target, from the candidates' maps, and other starts if these are sought."""
     source, target = shapes
     sample = source.posed.sample
     matches = [
         (sample, nearest(each.forward[0][sample], each.forward[1])[0]) for each in candidates
     ]
-    return aligned(source.posed, target.posed, matches=matches)
+    return aligned(source.posed, target.posed, matches=matches, search=search)
 
 
 def _extrinsic(

@@ -142,9 +142,9 @@ def aligned(
     ]
     starts = [_followed(source, target, *start, sign) for start in (*rotations, *fitted)]
     starts.sort(key=lambda found: found[0])
-    tree = KDTree(target.keys())
+    trees = KDTree(target.keys()[target.sample]), KDTree(target.keys())
     return min(
-        (_affine(source, target, tree, *start[1:], sign) for start in starts[:_KEPT]),
+        (_affine(source, target, trees, *start[1:], sign) for start in starts[:_KEPT]),
         key=lambda alignment: alignment.residual,
     )
 
@@ -269,14 +269,24 @@ def _followed(
 def _affine(
     source: Posed,
     target: Posed,
-    tree: KDTree,
+    trees: tuple[KDTree, KDTree],
     linear: FloatArray,
     shift: FloatArray,
     sign: float,
-    rounds: int = 10,
 ) -> Alignment:
-    for affine in (False,) * rounds + (True,) * rounds:
-        here, there, weight, distance = _pairs(source.moved(linear, shift), target, tree)
+    """The source after a trimmed ICP: by similarities, then by affine motions.
+
+    Parameters
+    ----------
+    trees
+        Of the keys of the target's samples, which are enough until the last rounds, and of all.
+    """
+    samples, every = trees
+    rounds = [(False, samples)] * 10 + [(True, samples)] * 7 + [(True, every)] * 3
+    for affine, tree in rounds:
+        here, there, weight, distance = _pairs(
+            source.moved(linear, shift), target, tree, sampled=tree is samples
+        )
         linear, shift = _fit(
             source.points[here], target.points[there], weight, sign=sign, affine=affine
         )
@@ -285,12 +295,21 @@ def _affine(
 
 
 def _pairs(
-    source: Posed, target: Posed, tree: KDTree
+    source: Posed, target: Posed, tree: KDTree, *, sampled: bool = False
 ) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
-    """Source vertices, target vertices, weights and distances of nearest points, both ways."""
+    """Source vertices, target vertices, weights and distances of nearest points, both ways.
+
+    With `sampled`, between the samples only, of which the tree is then.
+    """
     keys = source.keys()
     away, there = tree.query(keys[source.sample])
-    back, here = KDTree(keys).query(target.keys()[target.sample])
+    sought = target.keys()[target.sample]
+    if sampled:
+        there = target.sample[there]
+        back, place = KDTree(keys[source.sample]).query(sought)
+        here = source.sample[place]
+    else:
+        back, here = KDTree(keys).query(sought)
     one, two = target.usable[there], source.usable[here]
     distance = np.concatenate([away[one], back[two]])
     scale = max(float(np.quantile(distance, _TRIM)), np.finfo(float).tiny)

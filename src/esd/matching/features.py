@@ -73,7 +73,7 @@ class Features:
 
     def embedded_by(self, model: Model) -> Features:
         """The same with the embedding by another model of the same recipe, without convolutions."""
-        return replace(self, embedded=model.embed(self.values.astype(np.float64)))
+        return replace(self, embedded=model.embed(self.values))
 
     def is_filling(self) -> BoolArray:
         """Whether each vertex of the repaired mesh fills a hole, (r,)."""
@@ -116,7 +116,7 @@ def reflected(features: Features, *, model: Model) -> Features:
         shape=mesh,
         positions=features.positions * [-1.0, 1.0, 1.0],
         values=values,
-        embedded=model.embed(values.astype(np.float64)),
+        embedded=model.embed(values),
         copy=copy,
     )
 
@@ -157,13 +157,13 @@ def shape_features(
     shape = repaired.shape if copy is None else copy.mesh
     if spectrum is None or copy is not None:
         spectrum = recipe_spectrum(model.recipe, shape, cache=cache)
-    values = spectrum_descriptors(model.recipe, shape, spectrum)
+    values = spectrum_descriptors(model.recipe, shape, spectrum, single=True)
     operator = None if model.patches is None else patch_operator(model.patches, shape, cache=cache)
     return Features(
         shape,
         repaired.positions if copy is None else shape.vertices,
         spectrum,
-        values.astype(np.float32),
+        values,
         model.embed(values, operator),
         repaired.is_flipped,
         np.where(repaired.vertex_index >= 0, repaired.vertex_index, repaired.stand_in),
