@@ -5,7 +5,9 @@ import re
 import numpy as np
 import pytest
 
+from damaged import joined
 from esd.common import InputError
+from esd.datasets.bodies import bodies
 from esd.descriptors.hks import hks
 from esd.descriptors.recipe import Descriptor, Recipe, descriptors, gradient_recipe
 from esd.learning.model import Model
@@ -83,6 +85,26 @@ def test_pieces_beside_the_largest_go_with_it_and_far_ones_count_as_wrong(blob, 
         alone.judgement.expected_accuracy * (1 - share)
     )
     assert f"{share:.0%} of the source lies on loose pieces too far off" in judged.advice
+
+
+def test_touching_pieces_of_a_body_are_matched_together():
+    collection = bodies(remeshed=False)
+    by_name = {shape.name: shape for shape in collection.shapes}
+    source, target = (by_name[name].mesh() for name in ("s10_p01", "s12_p05"))
+    # three bands of the body, 1 cm apart; vertex i of one body is vertex i of the other
+    bands = np.digitize(source.vertices[source.faces, 2].mean(axis=1), [0.5, 1.2])
+    parts, index = [], []
+    for band in range(3):
+        used, faces = np.unique(source.faces[bands == band], return_inverse=True)
+        parts.append(Mesh(source.vertices[used] + [0, 0, 0.01 * band], faces.reshape(-1, 3)))
+        index.append(used)
+    torn, original = joined(*parts), np.concatenate(index)
+    found = match(torn, target)
+    assert found.is_matched().all()
+    assert found.judgement.verdict == "good"
+    gap = target.vertices[found.target_index] - target.vertices[original]
+    assert (np.linalg.norm(gap, axis=1) < 0.1).mean() > 0.9  # 5 % of their height
+    assert repair(torn).lost > 0.3  # of the largest piece alone
 
 
 def test_one_to_one_maps_take_no_vertex_twice_for_pieces_and_seams(blob):

@@ -15,7 +15,7 @@ from esd.mesh.mesh import Mesh, PointCloud
 from esd.mesh.repair.repair import Repaired
 from esd.mesh.surface import nearest_vertices
 from esd.spectral.cache import Cache
-from esd.spectral.coarse import MeshCopy, coarse_copy, fine_copy
+from esd.spectral.coarse import MeshCopy, coarse_copy, copy_around, fine_copy
 from esd.spectral.spectrum import Spectrum
 
 _FEWEST = 2000  # vertices, of fewer than which descriptors differ between triangulations
@@ -135,7 +135,8 @@ def shape_features(
     Parameters
     ----------
     coarse
-        Number of vertices of the copy, see `esd.spectral.coarse.coarse_copy`.
+        Number of vertices of the copy, see `esd.spectral.coarse.coarse_copy`. Of several pieces,
+        the surface around them is the copy.
     resample
         Whether meshes too coarse for the descriptors, of fewer than two thousand vertices, are
         subdivided first, see `esd.spectral.coarse.fine_copy`.
@@ -150,7 +151,10 @@ def shape_features(
         If the shape has no such copy, or cannot be described.
     """
     copy = None
-    if coarse is not None:
+    if repaired.around is not None:
+        assert isinstance(repaired.shape, Mesh)
+        copy = copy_around(repaired.shape, repaired.around)
+    elif coarse is not None:
         copy = coarse_copy(repaired.shape, coarse, cache=cache)
     elif resample and isinstance(repaired.shape, Mesh) and len(repaired.shape.vertices) < _FEWEST:
         copy = fine_copy(repaired.shape, _FEWEST)

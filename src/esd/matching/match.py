@@ -171,8 +171,10 @@ def prepared(
     coarse, full
         See `match`.
     """
-    found = repair(source, everything=everything, restore=True)
-    if not everything and not full and (coarse is not None or _is_dense(found)):
+    found = repair(source, everything=everything, restore=True, together=not full)
+    if everything or full or found.around is not None:
+        return found
+    if coarse is not None or _is_dense(found):
         return repair(source, everything=True, restore=True)
     return found
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 
-from esd.common import FloatArray, InputError
+from esd.common import FloatArray, InputError, IntArray
 from esd.mesh.geometry import is_referenced
 from esd.mesh.mesh import Mesh, PointCloud
 from esd.mesh.shapes import subdivide
@@ -74,9 +74,29 @@ def coarse_copy(
         key = content_key("coarse", mesh.vertices, mesh.faces, count=vertex_count)
         arrays = compute() if cache is None else cache.computed(key, compute)
         copy, near = Mesh(arrays["vertices"], arrays["faces"]), arrays["near"]
+    return _located_on(copy, mesh, used, near[used])
+
+
+def copy_around(mesh: Mesh, around: Mesh) -> MeshCopy:
+    """A surface around the pieces of a mesh as its copy: its vertices lie at the closest points."""
+    from scipy.spatial import KDTree  # slow to import
+
+    used = np.flatnonzero(is_referenced(mesh))
+    _, near = KDTree(around.vertices).query(mesh.vertices[used], workers=-1)
+    return _located_on(around, mesh, used, near)
+
+
+def _located_on(copy: Mesh, mesh: Mesh, used: IntArray, near: IntArray) -> MeshCopy:
+    """The copy with the points closest to the vertices of a mesh that are used, (u,).
+
+    Parameters
+    ----------
+    near : (u,)
+        A vertex of the copy near each of them.
+    """
     face = np.full(len(mesh.vertices), -1, dtype=np.int64)
     weights = np.full((len(face), 3), np.nan)
-    closest = closest_points(copy, mesh.vertices[used], near[used])
+    closest = closest_points(copy, mesh.vertices[used], near)
     face[used], weights[used] = closest.face, closest.weights
     return MeshCopy(copy, mesh.vertices, SurfacePoints(face, weights))
 

@@ -13,7 +13,7 @@ from esd.mesh.geometry import (
 from esd.mesh.mesh import Mesh, PointCloud
 from esd.mesh.repair.diagnose import diagnose
 from esd.mesh.repair.repair import repair
-from esd.mesh.shapes import grid, torus
+from esd.mesh.shapes import grid, icosphere, torus
 from esd.mesh.topology import boundary_edges
 from measures import signed_volume
 
@@ -88,6 +88,40 @@ def test_of_loose_pieces_the_largest_is_kept():
     both = repair(pair, all_pieces=True)
     assert components(both.shape).max() == 1
     assert both.lost == 0
+
+
+def test_pieces_that_touch_are_kept_together_where_the_largest_leaves_out_much():
+    half = SPHERE.vertices[SPHERE.faces, 2].mean(axis=1) > 0
+    parts = [Mesh(SPHERE.vertices, SPHERE.faces[half])]
+    parts.append(Mesh(SPHERE.vertices - [0, 0, 0.02], SPHERE.faces[~half]))
+    parts.append(Mesh(SPHERE.vertices / 10 + 5, SPHERE.faces))
+    pieces = joined(*parts)
+    assert repair(pieces).around is None
+    together = repair(pieces, together=True)
+    assert len(boundary_edges(together.around)) == 0
+    assert "2 loose pieces (those that touch are matched together)" in together.in_a_line()
+    assert "holes" not in together.not_repaired()
+    ball = np.arange(3 * COUNT) >= 2 * COUNT
+    assert not (together.vertex_index[ball] >= 0).any()
+    assert together.lost == pytest.approx(
+        COUNT / np.count_nonzero(np.isin(np.arange(3 * COUNT), pieces[1]))
+    )
+    # the other piece is far away: there is nothing to be joined
+    assert repair(joined(SPHERE, icosphere(1)), together=True).around is None
+
+
+def test_a_ground_plane_is_left_out_and_counts_as_nothing():
+    x, y = np.meshgrid(np.linspace(-2, 2, 5), np.linspace(-2, 2, 5))
+    square = np.stack([x.ravel(), y.ravel(), np.full(25, -1.0)], axis=1)
+    corner = np.add.outer(5 * np.arange(4), np.arange(4)).ravel()[:, None]
+    ground = np.concatenate([corner + np.array([0, 1, 6]), corner + np.array([0, 6, 5])])
+    vertices = np.concatenate([SPHERE.vertices, square])
+    faces = np.concatenate([SPHERE.faces, ground + COUNT])
+    repaired = repair((vertices, faces))
+    assert "1 flat piece that everything else lies on (left out)" in repaired.in_a_line()
+    np.testing.assert_array_equal(repaired.vertex_index >= 0, np.arange(COUNT + 25) < COUNT)
+    assert repaired.lost == 0
+    assert (repair((vertices, faces), all_pieces=True).vertex_index >= 0).all()
 
 
 def test_only_the_piece_that_is_kept_says_whether_the_shape_was_inside_out():

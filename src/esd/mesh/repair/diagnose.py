@@ -14,6 +14,7 @@ from esd.mesh.mesh import Mesh
 from esd.mesh.repair.arrays import diagonal, found, is_finite, loose_arrays, safe_scale, sound_part
 from esd.mesh.repair.findings import FEW_VERTICES, Diagnosis, Finding
 from esd.mesh.repair.joining import collapse_partners, cut_apart, seam_partners
+from esd.mesh.repair.pieces import is_ground
 from esd.mesh.topology import (
     SLIVER,
     EdgeTable,
@@ -140,9 +141,14 @@ def _holes(mesh: Mesh, table: EdgeTable) -> list[Finding]:
 
 
 def _pieces(mesh: Mesh) -> list[Finding]:
+    findings = []
+    ground = is_ground(mesh)
+    if ground.any():
+        share = float(face_areas(mesh)[ground].sum() / surface_area(mesh))
+        findings.append(Finding("ground_planes", 1, share, int(mesh.faces[ground][0, 0])))
+        mesh = replace(mesh, faces=mesh.faces[~ground])
     label = piece_of_faces(mesh)
     area = np.bincount(label, weights=face_areas(mesh))
-    findings = []
     if len(area) > 1:
         share = 1 - area[0] / max(area.sum(), np.finfo(float).tiny)
         first = int(mesh.faces[label > 0][0, 0])

@@ -174,12 +174,21 @@ _KINDS = {
         "that can be are filled unasked. A large one may be where a part is missing.",
         f"filled where the rim is shorter than {SMALL_HOLE:g} √area",
     ),
+    "ground_planes": _Kind(
+        "flat piece that everything else lies on",
+        "flat pieces that everything else lies on",
+        0.0,
+        "A ground or a table is no part of the shape, and often larger.",
+        "left out",
+        always=True,
+    ),
     "loose_pieces": _Kind(
         "loose piece",
         "loose pieces",
         0.05,
-        "A piece of its own has a spectrum of its own: the largest is matched, and vertices of the "
-        "others take the match of its nearest vertex if that is near.",
+        "Heat does not pass between them. The largest is matched, and vertices of others take the "
+        "match of its nearest vertex if that is near; where that leaves out much, pieces that "
+        "touch are matched together, by a closed surface around them.",
         "left out",
         always=True,
     ),

@@ -22,8 +22,9 @@ from esd.mesh.repair.diagnose import diagnosed, examine_points
 from esd.mesh.repair.filling import holes_filled
 from esd.mesh.repair.findings import SMALL_HOLE, Diagnosis, Finding
 from esd.mesh.repair.joining import collapse_partners, cut_apart, seam_partners
-from esd.mesh.repair.pieces import stand_ins
+from esd.mesh.repair.pieces import is_ground, stand_ins
 from esd.mesh.repair.smoothing import smoothed
+from esd.mesh.repair.wrapping import pieces_within, surface_around
 from esd.mesh.topology import (
     compacted,
     largest_piece,
@@ -35,6 +36,11 @@ from esd.mesh.topology import (
 FILLED_AND_SMOOTHED = frozenset({"holes", "folded_edges"})
 """Findings that `restore` repairs, see `repair`."""
 
+_WRAPPED = FILLED_AND_SMOOTHED | {"slivers", "few_vertices"}
+"""Findings that a surface around the pieces does not have."""
+
+_AROUND = 10_000  # vertices of a surface around several pieces
+_LOST = 0.05  # share of the vertices that pieces matched together must have more than the largest
 _WHOLE = 0.9  # share of the area that must hold together for edges to be cut apart unasked
 _FLIPPED = 0.9  # share of the area that was flipped, from which the shape was inside out
 
@@ -67,6 +73,8 @@ class Repaired:
     lost
         Share of the original vertices with a face that were dropped with loose pieces, and have
         no `stand_in`.
+    around
+        The closed surface around several pieces, in whose place it is matched; None for others.
     """
 
     shape: Mesh | PointCloud
@@ -79,6 +87,7 @@ class Repaired:
     filling: int = 0
     is_flipped: bool = False
     lost: float = 0.0
+    around: Mesh | None = None
 
     def __repr__(self) -> str:
         return f"<Repaired {str(self.shape).strip('<>')} of {len(self.vertex_index)} vertices>"
@@ -86,9 +95,13 @@ class Repaired:
     def in_a_line(self) -> str:
         """What was found, and what was done about it, in one line; empty if nothing was."""
         return ", ".join(
-            finding.what + (f" ({finding.remedy})" if finding.kind in self.done else "")
+            finding.what + (f" ({self._remedy(finding)})" if finding.kind in self.done else "")
             for finding in self.diagnosis.findings
         )
+
+    def _remedy(self, finding: Finding) -> str:
+        is_joined = self.around is not None and finding.kind == "loose_pieces"
+        return "those that touch are matched together" if is_joined else finding.remedy
 
     def not_repaired(self) -> str:
         """What does harm and was not repaired, in one line; empty if there is nothing."""
@@ -96,6 +109,7 @@ class Repaired:
             finding.what
             for finding in self.diagnosis.findings
             if finding.severity != "harmless"
+            and not (self.around is not None and finding.kind in _WRAPPED)
             and (finding.kind not in self.done or _is_large_hole(finding))
         )
 
@@ -130,6 +144,7 @@ def repair(
     everything: bool = False,
     all_pieces: bool = False,
     restore: bool = False,
+    together: bool = False,
 ) -> Repaired:
     """A shape without what could be repaired, and which vertex became which.
 
@@ -147,10 +162,13 @@ def repair(
         non-manifold edges even where the shape then falls apart, leaving out faces of
         which a vertex is missing, and what `restore` does.
     all_pieces
-        Whether all connected pieces are kept, and not only the one with the largest area.
+        Whether all connected pieces are kept, the ground too, and not only the largest by area.
     restore
         Whether small holes are filled and noise is smoothed even if not everything is repaired.
         Maps become better, while areas and lengths are no longer those measured.
+    together
+        Whether pieces that touch are all kept, with a closed surface around them, where the
+        largest alone leaves out too much. They are not restored.
 
     Raises
     ------
@@ -172,7 +190,7 @@ def repair(
     if restore:
         done |= FILLED_AND_SMOOTHED & {f.kind for f in diagnosis.findings}
     if all_pieces:
-        done.discard("loose_pieces")
+        done -= {"loose_pieces", "ground_planes"}
     original = np.arange(len(vertices), dtype=np.int64)
     if done <= {"unreferenced_vertices"}:  # the very same, and so known to the caches
         mesh = Mesh(vertices, faces)
@@ -184,10 +202,23 @@ def repair(
         done.discard("non_manifold_edges")
     if everything or done & {"non_manifold_vertices", "non_manifold_edges"}:
         mesh, original = cut_apart(mesh, at_edges=everything or "non_manifold_edges" in done)
+    if "ground_planes" in done:
+        mesh = replace(mesh, faces=mesh.faces[~is_ground(mesh)])
     whole, outward = mesh, oriented_outward(mesh)
     is_kept = np.ones(len(mesh.faces), dtype=bool) if all_pieces else piece_of_faces(mesh) == 0
     mesh = replace(outward, faces=outward.faces[is_kept])
-    index, stand_in, lost = _pieces_left_out(whole, mesh, index)
+    left_out = _pieces_left_out(whole, mesh, index)
+    around = surface_around(outward, _AROUND) if together and left_out[2] >= _LOST else None
+    if around is not None:
+        within = pieces_within(outward, around)
+        several = replace(outward, faces=outward.faces[within])
+        of_several = _pieces_left_out(whole, several, index)
+        if of_several[2] <= left_out[2] - _LOST:
+            mesh, is_kept, left_out = several, within, of_several
+            done -= FILLED_AND_SMOOTHED
+        else:
+            around = None
+    index, stand_in, lost = left_out
     on_rim = np.zeros(0, dtype=np.int64)
     if "holes" in done:
         mesh, on_rim = holes_filled(mesh, shorter_than=SMALL_HOLE)
@@ -206,6 +237,7 @@ def repair(
         filling=len(on_rim),
         is_flipped=_flipped_share(whole, outward, is_kept) > _FLIPPED,
         lost=lost,
+        around=around,
     )
 
 
