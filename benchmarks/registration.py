@@ -5,42 +5,178 @@
 prints a line for each scan and the means. Lengths are in % of the scan's longest extent. The error
 of a vertex is its distance to the true vertex; that of the map, the same of the matched vertex.
 'points only' starts from the same rigid alignment and has nearest points instead of the map.
+
+    python benchmarks/registration.py ../shared/data/faust_r --scans 60,66,72,76 --peers
+
+compares with other packages' fits along the same maps: `trimesh.registration.nricp_amberg`, with
+its default steps, and libigl's as-rigid-as-possible deformation. Both take matches as landmarks:
+those of 300 vertices spread over the template, and of the most confident half of these. Seconds
+are of the processor.
+
+    python benchmarks/registration.py --animation 10
+
+registers a body that ships with the package to frames of another one, remeshed each on its own,
+whose bones turn evenly from one pose to another: as a sequence, and each frame by itself.
 """
 
 from __future__ import annotations
 
 import argparse
 import time
+from importlib import resources
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
 
 import esd
+from esd.datasets.body_pack import posed, read_pack, skinned
 from esd.datasets.folder import read_vts
 from esd.mesh.mesh import Mesh
-from esd.registration.fit import Fit, fit
-from esd.registration.quality import quality
+from esd.mesh.remesh.remesh import remesh
+from esd.mesh.sampling import spread
+from esd.registration.fit import Fit, fit, is_inverted
+from esd.registration.quality import distance_to, quality
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder", type=Path)
+    parser.add_argument("folder", type=Path, nargs="?")
     parser.add_argument("--template", default="tr_reg_000")
-    parser.add_argument("--scans", default="60-79", help="first and last number")
+    parser.add_argument("--scans", default="60-79", help="numbers, or the first and the last")
+    parser.add_argument("--peers", action="store_true")
+    parser.add_argument("--animation", type=int, metavar="FRAMES", help="of the bodies, instead")
     arguments = parser.parse_args()
-    first, last = map(int, arguments.scans.split("-"))
+    if arguments.animation:
+        of_animation(arguments.animation)
+        return
+    if "-" in arguments.scans:
+        first, last = map(int, arguments.scans.split("-"))
+        numbers = list(range(first, last + 1))
+    else:
+        numbers = [int(number) for number in arguments.scans.split(",")]
+    (beside_peers if arguments.peers else beside_points)(arguments, numbers)
+
+
+def of_animation(count: int, *, subject: int = 5, pose: int = 3) -> None:
+    with resources.as_file(resources.files("esd.datasets") / "data" / "bodies.npz") as path:
+        pack = read_pack(path)
+    template = Mesh(posed(pack, subject=0, pose=0), pack.faces)
+    ends = pack.motions[subject, 0], pack.motions[subject, pose]
+    # bones turn evenly, and the centre of what each moves goes straight
+    weight = pack.weights / np.maximum(pack.weights.sum(axis=0), 1e-12)
+    centre = weight.T @ pack.rest[subject]
+    turns = [
+        Slerp([0, 1], Rotation.from_matrix([a, b]))
+        for a, b in zip(*(e[:, :, :3] for e in ends), strict=True)
+    ]
+    moved = [np.einsum("bij,bj->bi", e[:, :, :3], centre) + e[:, :, 3] for e in ends]
+    truths, frames = [], []
+    for number, share in enumerate(np.linspace(0, 1, count)):
+        turn = np.stack([each(share).as_matrix() for each in turns])
+        shift = (1 - share) * moved[0] + share * moved[1] - np.einsum("bij,bj->bi", turn, centre)
+        motion = np.concatenate([turn, shift[:, :, None]], axis=2)
+        truths.append(skinned(pack.rest[subject], pack.weights, motion))
+        frames.append(remesh(Mesh(truths[-1], pack.faces), 5000, seed=number).mesh)
+    alone = (esd.register(template, frame) for frame in frames)
+    for label, found in (
+        ("sequence", esd.register_sequence(template, frames)),
+        ("each frame alone", alone),
+    ):
+        start = time.process_time()
+        rows = [
+            (
+                error(each.mesh.vertices, truth) / each.quality.extent,
+                each.quality.relative_distance,
+                each.quality.inverted / 100,
+                each.match is not None,
+            )
+            for each, truth in zip(found, truths, strict=True)
+        ]
+        seconds = (time.process_time() - start) / count
+        by_map = [number for number, row in enumerate(rows) if row[3]]
+        errors = " ".join(f"{100 * row[0]:.2f}" for row in rows)
+        means = " | ".join(f"{100 * value:.3f}" for value in np.mean(rows, axis=0)[:3])
+        print(
+            f"{label}: error | distance | inverted faces, means: {means}; {seconds:.1f} s a frame"
+        )
+        print(f"  error of each frame: {errors}; along a map: {by_map}", flush=True)
+
+
+def beside_peers(arguments: argparse.Namespace, numbers: list[int]) -> None:
     template = esd.read_mesh(arguments.folder / "shapes" / f"{arguments.template}.off")
     here = read_vts(arguments.folder / "corres" / f"{arguments.template}.vts")
-    print("scan | distance | error | of the map | inverted | points only: distance | error | s")
-    rows = []
-    for number in range(first, last + 1):
+    print("fit | scan | distance | error | inverted | s")
+    for number in numbers:
         name = f"tr_reg_{number:03d}"
         scan = esd.read_mesh(arguments.folder / "shapes" / f"{name}.off")
         there = read_vts(arguments.folder / "corres" / f"{name}.vts")
         match = esd.match(template, scan, mirror="no")
-        start = time.perf_counter()
+        extent = np.ptp(scan.vertices, axis=0).max()
+        for label, deform in PEERS.items():
+            start = time.process_time()
+            vertices = deform(template, scan, match)
+            seconds = time.process_time() - start
+            gap = distance_to(scan, vertices).mean() / extent
+            missed = error(vertices[here], scan.vertices[there]) / extent
+            count = int(is_inverted(Mesh(vertices, template.faces)).sum())
+            figures = f"{100 * gap:.3f} | {100 * missed:.3f} | {count} | {seconds:.1f}"
+            print(label, name, figures, sep=" | ", flush=True)
+
+
+def ours(template: Mesh, scan: Mesh, match: esd.Correspondence) -> np.ndarray:
+    return esd.register(template, scan, correspondence=match).mesh.vertices
+
+
+def trimesh_amberg(template: Mesh, scan: Mesh, match: esd.Correspondence) -> np.ndarray:
+    import trimesh
+
+    marks = landmarks(template, match)
+    meshes = [trimesh.Trimesh(m.vertices, m.faces, process=False) for m in (template, scan)]
+    return np.asarray(
+        trimesh.registration.nricp_amberg(
+            *meshes,
+            source_landmarks=marks,
+            target_positions=scan.vertices[match.target_index[marks]],
+        )
+    )
+
+
+def igl_arap(template: Mesh, scan: Mesh, match: esd.Correspondence) -> np.ndarray:
+    import igl
+
+    marks = landmarks(template, match)
+    images = scan.vertices[match.target_index[marks]]
+    data = igl.ARAPData()
+    data.energy = igl.ARAP_ENERGY_TYPE_SPOKES_AND_RIMS
+    data.max_iter = 100
+    igl.arap_precomputation(template.vertices, template.faces, 3, marks.astype(np.int32), data)
+    return np.asarray(igl.arap_solve(images, data, scan.vertices[match.target_index]))
+
+
+def landmarks(template: Mesh, match: esd.Correspondence) -> np.ndarray:
+    """The more confident half of 300 vertices that are spread over the template."""
+    chosen = spread(template.vertices, LANDMARKS)
+    return np.sort(chosen[np.argsort(-match.confidence[chosen])[: LANDMARKS // 2]])
+
+
+LANDMARKS = 300
+PEERS = {"esd": ours, "trimesh nricp_amberg": trimesh_amberg, "libigl arap": igl_arap}
+
+
+def beside_points(arguments: argparse.Namespace, numbers: list[int]) -> None:
+    template = esd.read_mesh(arguments.folder / "shapes" / f"{arguments.template}.off")
+    here = read_vts(arguments.folder / "corres" / f"{arguments.template}.vts")
+    print("scan | distance | error | of the map | inverted | points only: distance | error | s")
+    rows = []
+    for number in numbers:
+        name = f"tr_reg_{number:03d}"
+        scan = esd.read_mesh(arguments.folder / "shapes" / f"{name}.off")
+        there = read_vts(arguments.folder / "corres" / f"{name}.vts")
+        match = esd.match(template, scan, mirror="no")
+        start = time.process_time()
         found = esd.register(template, scan, correspondence=match)
-        seconds = time.perf_counter() - start
+        seconds = time.process_time() - start
         extent = found.quality.extent
         true = scan.vertices[there]
         alone = points_only(template, scan, match.target_index)
