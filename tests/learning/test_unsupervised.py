@@ -10,6 +10,7 @@ from esd.datasets.deformation import deformed
 from esd.learning.model import load_model, save_model
 from esd.learning.presets import Training, preset
 from esd.learning.samples import collection_samples, moments, shape_samples
+from esd.learning.teacher import FirstMaps
 from esd.mesh.geometry import surface_area
 from esd.mesh.io.landmarks import Landmarks
 from esd.mesh.mesh import Mesh
@@ -199,3 +200,33 @@ def test_a_warm_up_takes_copies_alone(unregistered):
     assert curve[0]["returning"] is None
     assert curve[0]["loss"] > 0
     assert 0 < curve[1]["returning"] <= 1
+
+
+def test_first_maps_are_learned_during_the_warm_up_and_say_what_belongs_together(unregistered):
+    def exact(samples):
+        rows = [np.argsort(each.vertices) for each in samples]
+        maps = {
+            (i, j): rows[j][truth(i, j)[samples[i].vertices]]
+            for i in range(3)
+            for j in range(3)
+            if i != j
+        }
+        return FirstMaps(maps, {pair: pair for pair in maps})
+
+    settings = replace(TEACHING, steps=6, warm_up=2, validate_every=2, drawn=300, own_share=0.0)
+    run = partial(train_unsupervised, unregistered, TRAINING, teaching=settings)
+    plain, taught = run(), run(first_maps=exact)
+    assert plain.card["curve"][0]["loss"] != taught.card["curve"][0]["loss"]
+    assert taught.card["curve"][0]["returning"] is None
+    assert taught.card["groups"] == [["s0", "s1", "s2"], ["s3"], ["s4"]]
+    # a training that is started from a model has better maps than the first
+    other = run(start=plain, first_maps=lambda _: pytest.fail("not needed"))
+    assert other.card["start"] == "model"
+
+
+def test_doubles_are_left_out(unregistered):
+    twice = replace(shape(0), name="again")
+    some = replace(unregistered, shapes=(*unregistered.shapes[:3], twice))
+    model = train_unsupervised(some, TRAINING, teaching=replace(TEACHING, steps=1))
+    assert model.card["shapes"] == ["s0", "s1", "s2"]
+    assert model.card["left_out"] == {"again": "it is the same mesh as 's0'"}

@@ -165,11 +165,13 @@ def _unsupervised(
 ) -> Model:
     """A model learned without correspondences, with the verdicts on some of its maps."""
     from dataclasses import replace
+    from functools import partial
 
     from esd.cli.progress import progress
     from esd.evaluation.trust import verdicts
     from esd.learning.model import load_model
     from esd.learning.unsupervised import Teaching, train_unsupervised
+    from esd.matching.first_maps import first_maps, step_count
     from esd.parallel import EVERY_CORE
     from esd.spectral.cache import default_cache
 
@@ -179,6 +181,7 @@ def _unsupervised(
     shapes = len(chosen.shapes) + (len(held.shapes) if held else 0)
     with (
         progress("describing", shapes) as described,
+        progress("mapping", step_count(len(chosen.shapes)) if first is None else 0) as mapped,
         progress("training", teaching.steps) as advance,
     ):
         model = train_unsupervised(
@@ -189,6 +192,15 @@ def _unsupervised(
             seed=seed,
             validation=held,
             start=first,
+            first_maps=partial(
+                first_maps,
+                collection=chosen,
+                recipe=training.recipe,
+                seed=seed,
+                workers=EVERY_CORE,
+                cache=cache,
+                on_step=lambda: mapped(1),
+            ),
             checkpoint=_checkpoint(output),
             workers=EVERY_CORE,
             cache=cache,

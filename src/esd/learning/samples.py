@@ -18,7 +18,7 @@ from esd.mesh.geometry import surface_area, vertex_areas, vertex_normals
 from esd.mesh.mesh import Mesh
 from esd.mesh.topology import oriented_outward
 from esd.parallel import THIS_PROCESS, Workers, outcomes
-from esd.spectral.cache import Cache
+from esd.spectral.cache import Cache, content_key
 
 MARKS = 32
 """Largest number of known points whose distances lead a map."""
@@ -41,6 +41,10 @@ class Samples:
         Of the shape scaled to unit area.
     positions, normals : (p, 3) float32
         Positions over √area, and outward unit normals.
+    vertices : (p,)
+        The vertices of the repaired mesh that the points are.
+    content
+        Key of the repaired mesh, by which doubles are found.
     known
         Row of each point whose counterparts on other shapes are known, by the name that it has on
         all of them.
@@ -53,6 +57,8 @@ class Samples:
     eigenvectors: npt.NDArray[np.float32]
     positions: npt.NDArray[np.float32]
     normals: npt.NDArray[np.float32]
+    vertices: IntArray
+    content: str = ""
     known: Mapping[str, int] = field(default_factory=dict)
     closeness: Mapping[str, npt.NDArray[np.float32]] = field(default_factory=dict)
 
@@ -141,6 +147,8 @@ def shape_samples(
         eigenvectors=spectrum.eigenvectors[chosen, :eigenfunctions].astype(np.float32),
         positions=(mesh.vertices[chosen] / scale).astype(np.float32),
         normals=vertex_normals(mesh)[chosen].astype(np.float32),
+        vertices=chosen,
+        content=content_key("samples", mesh.vertices, mesh.faces),
         known=dict(zip(known, rows[: len(known)].tolist(), strict=True)),
         closeness=near,
     )

@@ -7,8 +7,9 @@ These are what the network learns next.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -55,6 +56,42 @@ class Lesson:
     returning: float
     oriented: float
     kept: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FirstMaps:
+    """Maps between samples that are known before anything is learned.
+
+    Parameters
+    ----------
+    maps
+        By the numbers of source and target: the row of the target for each row of the source, (p,).
+    chains
+        By the same: numbers of the shapes from the source to the target, both included, through
+        which the map goes; none where no map can be trusted.
+    """
+
+    maps: Mapping[tuple[int, int], IntArray]
+    chains: Mapping[tuple[int, int], tuple[int, ...]]
+
+    def pairs(self) -> list[tuple[int, int]]:
+        """Numbers of the shapes that chains connect there and back, the lesser first."""
+        return [(i, j) for i, j in self.chains if i < j and (j, i) in self.chains]
+
+    def lesson(self, samples: Sequence[Samples], source: int, target: int) -> Lesson | None:
+        """The matches along the chains there and back; None where there is none."""
+        if not {(source, target), (target, source)} <= self.chains.keys():
+            return None
+        forth, back = self._along(source, target), self._along(target, source)
+        rows = np.arange(len(forth)), np.arange(len(back))
+        return sifted(samples[source], samples[target], rows, forth, back)
+
+    def _along(self, source: int, target: int) -> IntArray:
+        chain = self.chains[source, target]
+        index = self.maps[chain[0], chain[1]]
+        for step in pairwise(chain[1:]):
+            index = self.maps[step][index]  # row of the source -> row of the next shape
+        return index
 
 
 def lesson(

@@ -32,7 +32,7 @@ from esd.learning.optimise import (
 )
 from esd.learning.presets import Training
 from esd.learning.samples import Samples, collection_samples, moments
-from esd.learning.teacher import FIRST_SIZES, Lesson, is_reliable, lesson
+from esd.learning.teacher import FIRST_SIZES, FirstMaps, Lesson, is_reliable, lesson
 from esd.learning.updates import Matches, embedding_by, infonce_of_matches, layers_of, network_of
 from esd.parallel import THIS_PROCESS, Workers
 from esd.spectral.cache import Cache, content_key
@@ -59,11 +59,14 @@ class Teaching:
     steps
         Pairs of shapes that are matched, the warm-up included.
     warm_up
-        Steps at the beginning, no more than a quarter of all, in which shapes are matched with
-        their own copies only, so that the first maps between shapes start from more than a random
-        network. None without copies.
+        Steps at the beginning, no more than a third of all, in which the network learns from maps
+        that are known before, or else from copies of each shape, so that its first own maps start
+        from more than a random network.
     updates
         Steps of the optimiser for each: on the last matches, then on such of `recent` pairs.
+    own_share
+        Share of the other updates that are between copies of one shape instead, whose truth is
+        known.
     recent
         Number of pairs whose matches are remembered.
     points
@@ -85,6 +88,7 @@ class Teaching:
     steps: int = 400
     warm_up: int = 100
     updates: int = 3
+    own_share: float = 0.34
     recent: int = 12
     points: int = 4000
     drawn: int = 1500
@@ -140,6 +144,7 @@ def train_unsupervised(
     seed: int = 0,
     validation: Collection | None = None,
     start: Model | None = None,
+    first_maps: Callable[[tuple[Samples, ...]], FirstMaps] | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
     workers: Workers = THIS_PROCESS,
     cache: Cache | None = None,
@@ -165,6 +170,9 @@ def train_unsupervised(
         Shapes that are not trained on. Nothing depends on them but the curve.
     start
         A model of the same recipe and network from whose weights the training starts.
+    first_maps
+        Gives maps between the samples, from which the network learns during the warm-up; see
+        `esd.matching.first_maps`. Without, it learns from copies of each shape alone meanwhile.
     checkpoint
         A file from which an interrupted training resumes, and which is removed at its end.
     workers
@@ -206,7 +214,8 @@ def train_unsupervised(
         on_shape=on_shape,
     )
     described = describe(collection, copies=teaching.copies, seed=seed)
-    samples, left_out = described.samples, dict(described.failures)
+    samples, doubles = _without_doubles(described.samples)
+    left_out = {**described.failures, **doubles}
     if len(samples) < _FEWEST_SHAPES:
         reasons = "".join(f" '{key}': {why}" for key, why in left_out.items())
         raise InputError(
@@ -218,6 +227,9 @@ def train_unsupervised(
             "A model of %d shapes will hardly be good for others; from about ten on it is.",
             len(samples),
         )
+    first = None if first_maps is None or start is not None else first_maps(samples)
+    if first is None and not teaching.copies:
+        teaching = replace(teaching, warm_up=0)  # there is nothing to learn from meanwhile
     mean, deviation = moments(samples) if start is None else (start.mean, start.deviation)
     held: tuple[Samples, ...] = ()
     if validation is not None:
@@ -235,7 +247,7 @@ def train_unsupervised(
         run.curve = [TeachingProgress(**point) for point in state["curve"]]
         run.step = run.curve[-1].step
     while run.step < teaching.steps:
-        _advance(run, samples, held, training, teaching, seed)
+        _advance(run, samples, held, training, teaching, seed, first)
         if path is not None:
             save_checkpoint(
                 path,
@@ -253,7 +265,7 @@ def train_unsupervised(
         "shapes": [each.name for each in samples],
         "validation_shapes": [each.name for each in held],
         "left_out": left_out,
-        "groups": [list(group) for group in _groups(run, samples, teaching, seed)],
+        "groups": [list(group) for group in _groups(run, samples, teaching, seed, first)],
         "known": [each.name for each in samples if each.known],
         "training": _settings(training),
         "teaching": asdict(teaching),
@@ -274,6 +286,19 @@ def train_unsupervised(
         unit_length=True,
         card=card,
     )
+
+
+def _without_doubles(
+    samples: Sequence[Samples],
+) -> tuple[tuple[Samples, ...], dict[str, str]]:
+    """Samples of different meshes, and of which of these each other one is a double."""
+    first: dict[str, Samples] = {}
+    doubles = {}
+    for each in samples:
+        kept = first.setdefault(each.content, each)
+        if kept is not each:
+            doubles[each.name] = f"it is the same mesh as '{kept.name}'"
+    return tuple(first.values()), doubles
 
 
 def _settings(training: Training) -> dict[str, Any]:
@@ -332,6 +357,7 @@ def _advance(
     training: Training,
     teaching: Teaching,
     seed: int,
+    first: FirstMaps | None,
 ) -> None:
     """Train to the next point of the curve, or to the last step."""
     stop = min(run.step + teaching.validate_every, teaching.steps)
@@ -346,18 +372,22 @@ def _advance(
         if step == _warm_up(teaching):
             recent.clear()
         if step < _warm_up(teaching):
-            recent.append(_own_copies(samples, teaching, generator))
+            recent.append(_first_matches(samples, first, teaching, generator))
         else:
-            recent += _reliable(run, samples, teaching, share, generator, tried)
+            recent += _reliable(run, samples, teaching, share, generator, tried, first)
         del recent[: -teaching.recent]
         if not recent:
             continue
         dropout = torch.Generator().manual_seed(_LARGEST_SEED * step + seed)
         for update in range(teaching.updates):
-            which = generator.integers(len(recent)) if update else -1
+            matches = recent[-1]
+            if update and generator.random() < teaching.own_share and teaching.copies:
+                matches = _own_copies(samples, teaching, generator)
+            elif update:
+                matches = recent[generator.integers(len(recent))]
             loss = infonce_of_matches(
                 run.network,
-                recent[which],
+                matches,
                 training,
                 batch=teaching.batch,
                 generator=generator,
@@ -382,7 +412,7 @@ def _advance(
 
 
 def _warm_up(teaching: Teaching) -> int:
-    return min(teaching.warm_up, teaching.steps // 4) if teaching.copies else 0
+    return min(teaching.warm_up, teaching.steps // 3)
 
 
 def _share(step: int, teaching: Teaching) -> float:
@@ -393,6 +423,33 @@ def _share(step: int, teaching: Teaching) -> float:
 
 def _mean(values: Sequence[float]) -> float | None:
     return float(np.mean(values)) if values else None
+
+
+def _first_matches(
+    samples: Sequence[Samples],
+    first: FirstMaps | None,
+    teaching: Teaching,
+    generator: np.random.Generator,
+) -> Matches:
+    """Matches by the first maps of a pair drawn at random, else between versions of one shape."""
+    for _ in range(_TRIES if first is not None else 0):
+        assert first is not None
+        source, target = _drawn_pair(samples, first, generator)
+        found = first.lesson(samples, source, target)
+        if found is not None and is_reliable(found):
+            return Matches(samples[source], samples[target], found)
+    return _own_copies(samples, teaching, generator)
+
+
+def _drawn_pair(
+    samples: Sequence[Samples], first: FirstMaps | None, generator: np.random.Generator
+) -> tuple[int, int]:
+    """Numbers of two shapes drawn at random, of those that the first maps connect, if any."""
+    pairs = first.pairs() if first is not None else []
+    if pairs:
+        return pairs[generator.integers(len(pairs))]
+    source, target = generator.choice(len(samples), size=2, replace=False).tolist()
+    return source, target
 
 
 def _own_copies(
@@ -411,13 +468,14 @@ def _reliable(
     share: float,
     generator: np.random.Generator,
     tried: list[Lesson],
+    first: FirstMaps | None,
 ) -> list[Matches]:
     """Matches of a pair drawn at random that can be relied on, none if there is no such pair.
 
     All that were tried are added to a list.
     """
     for _ in range(_TRIES):
-        source, target = generator.choice(len(samples), size=2, replace=False)
+        source, target = _drawn_pair(samples, first, generator)
         found = _lesson(run, samples[source], samples[target], teaching, share, generator)
         tried.append(found)
         if is_reliable(found):
@@ -470,14 +528,25 @@ def _validation(
 
 
 def _groups(
-    run: _Run, samples: Sequence[Samples], teaching: Teaching, seed: int
+    run: _Run,
+    samples: Sequence[Samples],
+    teaching: Teaching,
+    seed: int,
+    first: FirstMaps | None,
 ) -> tuple[tuple[str, ...], ...]:
     """Names of the shapes that match each other, the largest group first.
 
-    Each shape is matched with some others, the next ones in a random order, and two belong
-    together if the share of reliable matches is not much less than it usually is.
+    They are those that the first maps connect. Without first maps, each shape is matched with some
+    others, the next ones in a random order, and two belong together if the share of reliable
+    matches is not much less than it usually is.
     """
     count = len(samples)
+    connected = first.pairs() if first is not None else []
+    if connected:
+        ends = np.array(connected).T
+        return _named_groups(
+            samples, sparse.coo_array((np.ones(ends.shape[1]), tuple(ends)), shape=(count, count))
+        )
     generator = np.random.default_rng((_LARGEST_SEED, seed))
     order = generator.permutation(count)
     offsets = range(1, min(_PARTNERS, count // 2) + 1)
@@ -496,6 +565,13 @@ def _groups(
     belong = kept >= _BELONGING * np.quantile(kept, _USUAL)
     graph = sparse.coo_array((belong, (i, j)), shape=(count, count))
     graph.eliminate_zeros()
+    return _named_groups(samples, graph)
+
+
+def _named_groups(
+    samples: Sequence[Samples], graph: sparse.coo_array
+) -> tuple[tuple[str, ...], ...]:
+    """Names of the shapes that a graph connects, the largest group first."""
     _, label = csgraph.connected_components(graph, directed=False)
     groups = [
         tuple(samples[k].name for k in np.flatnonzero(label == g).tolist()) for g in set(label)

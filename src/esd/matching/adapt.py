@@ -142,6 +142,7 @@ def _samples(
             eigenvectors=spectrum.eigenvectors[vertices, :_EIGENFUNCTIONS].astype(np.float32),
             positions=(mesh.vertices[vertices] / scale).astype(np.float32),
             normals=vertex_normals(mesh)[vertices].astype(np.float32),
+            vertices=vertices,
             known=known,
             closeness=dict(zip(known, map(closeness, distances), strict=True)),
         ),
