@@ -13,18 +13,22 @@ from esd.descriptors.chirality import Parity, gradient_products, neighbour_pairs
 from esd.descriptors.geometry import geometry_vector
 from esd.descriptors.gps import gps
 from esd.descriptors.hks import hks
+from esd.descriptors.part import PART_WIDTH, part_descriptors
 from esd.descriptors.sihks import sihks
 from esd.descriptors.wks import wks
 from esd.mesh.geometry import surface_area
 from esd.mesh.mesh import Mesh, PointCloud
-from esd.mesh.topology import oriented_outward
+from esd.mesh.topology import boundary_edges, oriented_outward
 from esd.spectral.cache import Cache
+from esd.spectral.dirichlet import dirichlet_spectrum
 from esd.spectral.laplacian import LaplacianKind
 from esd.spectral.spectrum import Spectrum, spectrum
 
 _DESCRIPTORS = {"gps": gps, "hks": hks, "wks": wks, "sihks": sihks, "geometry": geometry_vector}
 _PRODUCTS: dict[str, Parity] = {"chirality": "odd", "alignment": "even"}
 _WIDTHS = {"gps": 25, "hks": 100, "wks": 100, "sihks": 19, "geometry": 150}
+
+_PARTS = "parts"  # the kind of `part_descriptors`, which have a recipe of their own
 
 _OPTIONS = {"sihks": {"time_unit"}, "geometry": {"largest"}}
 _PRODUCT_OPTIONS = {"of", "columns", "reach", "times"}
@@ -41,7 +45,8 @@ class Descriptor:
     ----------
     kind
         One of `DESCRIPTOR_KINDS`, or one of the `gradient_products`: `chirality` (odd) or
-        `alignment` (even), on the mesh `oriented_outward`.
+        `alignment` (even), on the mesh `oriented_outward`; or `parts`, see
+        `esd.descriptors.part.part_descriptors`.
     count
         Number of its components.
     log
@@ -59,10 +64,10 @@ class Descriptor:
     options: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if self.kind not in (*_DESCRIPTORS, *_PRODUCTS):
-            known = ", ".join((*_DESCRIPTORS, *_PRODUCTS))
+        if self.kind not in (*_DESCRIPTORS, *_PRODUCTS, _PARTS):
+            known = ", ".join((*_DESCRIPTORS, *_PRODUCTS, _PARTS))
             raise InputError(f"There is no descriptor '{self.kind}'; expected one of {known}.")
-        if self.log and self.kind in ("gps", *_PRODUCTS):
+        if self.log and self.kind in ("gps", *_PRODUCTS, _PARTS):
             raise InputError(f"'{self.kind}' has negative components: it has no logarithm.")
         if not is_count(self.count) or not isinstance(self.log, bool):
             raise InputError(
@@ -71,6 +76,10 @@ class Descriptor:
             )
         if not isinstance(self.options, Mapping):
             raise InputError(f"The options of '{self.kind}' must have names; got {self.options!r}.")
+        if self.kind == _PARTS and self.count != PART_WIDTH:
+            raise InputError(
+                f"'{_PARTS}' has {PART_WIDTH} components; its `count` is {self.count}."
+            )
         if self.kind in _PRODUCTS:
             self._check_product()
         elif not set(self.options) <= _OPTIONS.get(self.kind, set()) or not all(
@@ -134,6 +143,8 @@ class Recipe:
     def __post_init__(self) -> None:
         if not self.descriptors:
             raise InputError("A descriptor recipe needs one descriptor or more; got none.")
+        if self.is_of_parts and len(self.descriptors) > 1:
+            raise InputError(f"'{_PARTS}' are all of a recipe: there are no others beside them.")
         kinds = get_args(LaplacianKind)
         if self.laplacian not in kinds:
             raise InputError(
@@ -149,6 +160,11 @@ class Recipe:
     def width(self) -> int:
         """Number of columns."""
         return sum(part.count for part in self.descriptors)
+
+    @property
+    def is_of_parts(self) -> bool:
+        """Whether it is that of `esd.descriptors.part.part_descriptors`."""
+        return any(part.kind == _PARTS for part in self.descriptors)
 
     def to_json(self) -> dict[str, Any]:
         """The recipe as plain data, from which `from_json` makes an equal one."""
@@ -183,6 +199,11 @@ def single_recipe(kind: str, *, log: bool = False) -> Recipe:
     return Recipe((Descriptor(kind, _WIDTHS.get(kind, 0), log=log),))
 
 
+def part_recipe() -> Recipe:
+    """The recipe of `esd.descriptors.part.part_descriptors`."""
+    return Recipe((Descriptor(_PARTS, PART_WIDTH),))
+
+
 def gradient_recipe(
     kind: str, of: str, *, columns: Sequence[int], reach: int, times: Sequence[float]
 ) -> Descriptor:
@@ -207,7 +228,8 @@ def descriptors(
     InputError
         If the mesh has too few vertices for the recipe.
     """
-    return spectrum_descriptors(recipe, shape, recipe_spectrum(recipe, shape, cache=cache))
+    spectrum = recipe_spectrum(recipe, shape, cache=cache)
+    return spectrum_descriptors(recipe, shape, spectrum, cache=cache)
 
 
 def recipe_spectrum(
@@ -228,27 +250,41 @@ def spectrum_descriptors(
     spectrum: Spectrum,
     *,
     single: bool = False,
+    cache: Cache | None = None,
 ) -> FloatArray:
     """Values of a recipe's descriptors from the `recipe_spectrum` of a shape, (n, recipe.width).
+
+    The spectrum of a part may have its share of the whole's area, see
+    `esd.descriptors.part.part_descriptors`.
 
     Parameters
     ----------
     single
         Whether they are in 32 bits, which takes half the time and memory. They are computed in
         64 bits but for the diffusion of gradient products, which is off by 1e-5 at the most.
+    cache
+        Where the spectrum under Dirichlet conditions is looked up and kept, for parts.
 
     Raises
     ------
     InputError
         If the recipe has chirality, and the mesh no outside or the points no faces.
     """
-    products = [part for part in recipe.descriptors if part.kind in _PRODUCTS]
+    products = [part for part in recipe.descriptors if part.kind in (*_PRODUCTS, _PARTS)]
     if products and isinstance(shape, PointCloud):
         raise InputError(
             f"Points have no faces, which '{products[0].kind}' needs; take hks, wks or gps, or a "
             "model of these."
         )
     outward = oriented_outward(shape) if products and isinstance(shape, Mesh) else None
+    if outward and recipe.is_of_parts:
+        held = None
+        if len(boundary_edges(outward)):
+            held = dirichlet_spectrum(outward, recipe.eigenpairs, cache=cache)
+            held = held.with_area(spectrum.area)
+        described = part_descriptors(outward, spectrum, held)
+        described[spectrum.mass == 0] = np.nan
+        return described.astype(np.float32) if single else described
     fields = {
         of: _values(Descriptor(of, _WIDTHS[of], log=True), spectrum)
         for of in sorted({part.options["of"] for part in products})

@@ -30,9 +30,11 @@ from esd.descriptors.recipe import (
     spectrum_descriptors,
 )
 from esd.learning.device import usable_device
+from esd.learning.diffusion import DiffusionNetwork, Surface, diffusion_network, surface_of
 from esd.learning.gcnn import GeodesicPatches
 from esd.learning.patches import Patches, convolution, patch_operator, patches_from_json
 from esd.mesh.mesh import Mesh, PointCloud
+from esd.mesh.topology import oriented_outward
 from esd.spectral.cache import Cache
 from esd.spectral.laplacian import SparseMatrix
 from esd.spectral.spectrum import Spectrum
@@ -43,6 +45,7 @@ _LARGEST_CONFIG = 2**26
 _ROWS = 2**14  # embedded at a time, for the memory that dense meshes take
 # of a model folder, and the one that macOS leaves in any
 _FILES = frozenset({"config.json", "model.safetensors", "README.md", ".DS_Store"})
+_DIFFUSION = "diffusion."  # before the names of the weights of such a network
 _BUNDLED = Path(__file__).parent / "models"
 ALIASES = {"default": "oriented"}
 """Other names of bundled models."""
@@ -87,6 +90,8 @@ class Model:
         Whether the embedding lies on the unit sphere.
     patches
         Of the surface, over which convolutions go; None where no layer is one.
+    diffusion
+        The network in place of layers, of models of parts; None for others.
     card
         What it was trained on, how, and how it did: plain data.
     device
@@ -103,6 +108,7 @@ class Model:
     limit: float | None = None
     unit_length: bool = False
     patches: Patches | None = None
+    diffusion: DiffusionNetwork | None = None
     card: Mapping[str, Any] = field(default_factory=dict)
     device: str = "cpu"
 
@@ -113,7 +119,22 @@ class Model:
     @property
     def is_oriented(self) -> bool:
         """Whether it tells left from right: its recipe has chirality."""
-        return any(part.kind == "chirality" for part in self.recipe.descriptors)
+        return any(part.kind in ("chirality", "parts") for part in self.recipe.descriptors)
+
+    @property
+    def is_pointwise(self) -> bool:
+        """Whether the embedding of a point depends on no other point's descriptors."""
+        return self.patches is None and self.diffusion is None
+
+    def operator(
+        self, shape: Mesh | PointCloud, spectrum: Spectrum, *, cache: Cache | None = None
+    ) -> SparseMatrix | Surface | None:
+        """What `embed` takes beside the descriptors of all vertices of a shape; often nothing."""
+        if self.patches is not None:
+            return patch_operator(self.patches, shape, cache=cache)
+        if self.diffusion is not None and isinstance(shape, Mesh):
+            return surface_of(oriented_outward(shape), spectrum)
+        return None
 
     def threshold(self) -> float:
         """Squared distance beyond which the paper rejects a match: C / 2.
@@ -127,14 +148,16 @@ class Model:
             raise InputError(f"'{self.name}' has no margin, and so no threshold to reject by.")
         return self.margin / 2
 
-    def embed(self, values: FloatArray, operator: SparseMatrix | None = None) -> FloatArray:
+    def embed(
+        self, values: FloatArray, operator: SparseMatrix | Surface | None = None
+    ) -> FloatArray:
         """Embedding (n, outputs) of descriptors (n, recipe.width), in their precision.
 
         Parameters
         ----------
         operator
-            The `patch_operator` of the shape whose vertices the descriptors are of, all of them,
-            for models with convolutions.
+            The `operator` of the shape whose vertices the descriptors are of, all of them, for
+            models that are not pointwise.
 
         Raises
         ------
@@ -147,11 +170,11 @@ class Model:
                 f"The model takes descriptors of shape (n, {self.recipe.width}); "
                 f"got {values.shape}."
             )
-        if self.patches is not None and operator is None:
+        if not self.is_pointwise and operator is None:
             raise InputError(
-                f"'{self.name}' is convolutional: it embeds whole shapes, see `embed_mesh`."
+                f"'{self.name}' embeds all vertices of a shape together, see `embed_mesh`."
             )
-        if self.patches is None and len(values) > _ROWS:
+        if self.is_pointwise and len(values) > _ROWS:
             parts = range(0, len(values), _ROWS)
             return np.concatenate([self.embed(values[i : i + _ROWS]) for i in parts])
         values = values.astype(np.result_type(values, np.float32), copy=False)
@@ -164,8 +187,15 @@ class Model:
             result /= np.linalg.norm(result, axis=1, keepdims=True)
         return result
 
-    def _after_layers(self, values: FloatArray, operator: SparseMatrix | None) -> FloatArray:
+    def _after_layers(
+        self, values: FloatArray, operator: SparseMatrix | Surface | None
+    ) -> FloatArray:
         """Standardised descriptors (n, width) after all layers, (n, outputs)."""
+        if self.diffusion is not None and isinstance(operator, Surface):
+            undefined = np.isnan(values).any(axis=1)
+            values = self.diffusion(np.nan_to_num(values), operator)
+            values[undefined] = np.nan
+            return values
         if self.device != "cpu" and self.patches is None:
             from esd.learning.network import propagated
 
@@ -191,10 +221,8 @@ class Model:
         self, mesh: Mesh | PointCloud, spectrum: Spectrum, *, cache: Cache | None = None
     ) -> FloatArray:
         """Embedding (n, outputs) of the vertices of a mesh, from its `recipe_spectrum`."""
-        values = spectrum_descriptors(self.recipe, mesh, spectrum)
-        if self.patches is None:
-            return self.embed(values)
-        return self.embed(values, patch_operator(self.patches, mesh, cache=cache))
+        values = spectrum_descriptors(self.recipe, mesh, spectrum, cache=cache)
+        return self.embed(values, self.operator(mesh, spectrum, cache=cache))
 
 
 def standardised(
@@ -257,7 +285,10 @@ def load_model(model: str | os.PathLike[str], *, device: str = "cpu") -> Model:
     except InputError as error:
         raise InputError(f"'{folder / 'config.json'}': {error}") from error
     _check_fit(loaded, config["layers"], folder)
-    if len(weights) != 2 + 2 * len(loaded.layers):  # mean, deviation, and two arrays a layer
+    # mean, deviation, two arrays a layer, and those of a network in place of layers
+    held = 2 + 2 * len(loaded.layers)
+    held += 0 if loaded.diffusion is None else len(loaded.diffusion.weights)
+    if len(weights) != held:
         raise InputError(
             f"'{folder / 'config.json'}': `layers` has {len(loaded.layers)} of them, and "
             f"'model.safetensors' others beyond: its files are of different models."
@@ -281,9 +312,15 @@ def _model_of(
     for name, value in (("recipe", config["recipe"]), ("card", config["card"])):
         if not isinstance(value, dict):
             raise InputError(f"`{name}` must be an object of names and values; got {value!r}.")
+    recipe = Recipe.from_json(config["recipe"])
+    diffusion = {
+        name.removeprefix(_DIFFUSION): array.astype(np.float32)
+        for name, array in weights.items()
+        if name.startswith(_DIFFUSION)
+    }
     return Model(
         name=folder.resolve().name,
-        recipe=Recipe.from_json(config["recipe"]),
+        recipe=recipe,
         mean=weights["mean"],
         deviation=weights["deviation"],
         layers=tuple(
@@ -294,6 +331,7 @@ def _model_of(
         limit=limit,
         unit_length=bool(unit_length),
         patches=None if patches is None else patches_from_json(patches),
+        diffusion=diffusion_network(diffusion, inputs=recipe.width) if diffusion else None,
         card=config["card"],
         device=device,
     )
@@ -322,6 +360,8 @@ def save_model(model: Model, folder: str | os.PathLike[str]) -> None:
     arrays: dict[str, npt.NDArray[Any]] = {"mean": model.mean, "deviation": model.deviation}
     for i, layer in enumerate(model.layers):
         arrays |= {f"layer{i}.weight": layer.weight, f"layer{i}.bias": layer.bias}
+    if model.diffusion is not None:
+        arrays |= {_DIFFUSION + name: array for name, array in model.diffusion.weights.items()}
     weights = save({name: np.ascontiguousarray(array) for name, array in arrays.items()})
     with whole_folder(folder) as temporary:
         (temporary / "model.safetensors").write_bytes(weights)
@@ -410,12 +450,22 @@ def model_description(model: Model) -> str:
         "Embedding of spectral descriptors for point-to-point correspondence, by `esd`.",
         "",
         f"- Descriptors: {parts}, from {model.recipe.eigenpairs} eigenpairs",
-        f"- Layers: {' – '.join(map(str, layer_widths(model)))}",
+        f"- {_layers_description(model)}",
         *_convolutions_description(model),
         *_training_description(model.card),
         *(f"- O{key[1:]}: {value}" for key, value in model.card.items() if key.startswith("on ")),
     ]
     return "\n".join(lines) + "\n"
+
+
+def _layers_description(model: Model) -> str:
+    if model.diffusion is None:
+        return f"Layers: {' – '.join(map(str, layer_widths(model)))}"
+    weights = model.diffusion.weights
+    return (
+        f"Network: {model.diffusion.block_count} blocks of {len(weights['0.time'])} features that "
+        f"diffuse over the surface, {len(weights['out.bias'])} outputs"
+    )
 
 
 def _training_description(card: Mapping[str, Any]) -> list[str]:

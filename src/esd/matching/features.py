@@ -10,7 +10,6 @@ import numpy.typing as npt
 from esd.common import BoolArray, FloatArray, InputError, IntArray
 from esd.descriptors.recipe import recipe_spectrum, spectrum_descriptors
 from esd.learning.model import Model
-from esd.learning.patches import patch_operator
 from esd.mesh.mesh import Mesh, PointCloud
 from esd.mesh.repair.repair import Repaired
 from esd.mesh.surface import nearest_vertices
@@ -95,7 +94,7 @@ def reflected(features: Features, *, model: Model) -> Features:
         If there are no faces, whose orientation a mirror image is of, or the model is
         convolutional.
     """
-    if isinstance(features.shape, PointCloud) or model.patches is not None:
+    if isinstance(features.shape, PointCloud) or not model.is_pointwise:
         raise InputError("Only meshes are mirrored, and not with convolutional models.")
     widths = [part.count for part in model.recipe.descriptors]
     is_odd = np.repeat([part.kind == "chirality" for part in model.recipe.descriptors], widths)
@@ -162,13 +161,12 @@ def shape_features(
     if spectrum is None or copy is not None:
         spectrum = recipe_spectrum(model.recipe, shape, cache=cache)
     values = spectrum_descriptors(model.recipe, shape, spectrum, single=True)
-    operator = None if model.patches is None else patch_operator(model.patches, shape, cache=cache)
     return Features(
         shape,
         repaired.positions if copy is None else shape.vertices,
         spectrum,
         values,
-        model.embed(values, operator),
+        model.embed(values, model.operator(shape, spectrum, cache=cache)),
         repaired.is_flipped,
         np.where(repaired.vertex_index >= 0, repaired.vertex_index, repaired.stand_in),
         repaired.original_index,

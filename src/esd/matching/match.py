@@ -332,7 +332,7 @@ def _mirror_chosen(
     if mirror != "yes":
         plain = chosen(source, target, names=names, landmarks=landmarks)
         sure = accuracy(plain.evidence) >= _SURE
-        if mirror == "no" or sure or model.patches is not None:
+        if mirror == "no" or sure or not model.is_pointwise:
             return plain, None
     image = reflected(source, model=model)
     other = chosen(image, target, names=names, landmarks=landmarks)
