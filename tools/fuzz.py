@@ -18,6 +18,7 @@ import tempfile
 import traceback
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -27,10 +28,13 @@ with atheris.instrument_imports(
     include=["esd", "trimesh.exchange", "meshio", "nibabel"],
     exclude=["esd.cli", "esd.learning.train", "esd.spectral.eigensolver"],
 ):
+    import h5py
     import numpy as np
 
     from esd.common import InputError
+    from esd.datasets.dyna import dyna_collection
     from esd.datasets.folder import folder_collection
+    from esd.datasets.store import StoredShape, open_store, save_store
     from esd.descriptors.recipe import single_recipe
     from esd.learning.model import Layer, Model, load_model, save_model
     from esd.matching.batch import read_pairs_of_files
@@ -118,6 +122,18 @@ def _correspondence(path: Path) -> None:
         shape.correspondence()
 
 
+def _frames(path: Path) -> None:
+    for shape in dyna_collection(path).shapes[:3]:
+        mesh = shape.mesh()
+        assert len(shape.correspondence()) == len(mesh.vertices)
+
+
+def _store(path: Path) -> None:
+    for shape in open_store(path).shapes():
+        values, index = shape.read()
+        assert index.max(initial=-1) < max(len(values), 1)
+
+
 def _material(path: Path) -> None:
     (_FOLDER / "m.mtl").write_bytes(path.read_bytes())
     (_FOLDER / "m.obj").write_text(
@@ -164,12 +180,36 @@ def _kinds() -> list[Kind]:
         ),
         Kind("r.csv", "pairs", read_landmark_pairs, (b"source,target,name\n1,2,nose\n3,4,ear\n",)),
         Kind("s.csv", "folders", _subjects, (b"name,subject,template\na,x,t\nb,y,t\n",)),
+        Kind("d.hdf5", "hdf5", _frames, (_recording(),)),
+        Kind("d.h5", "hdf5", _store, (_stored(),)),
         Kind("v.vts", "folders", _correspondence, (b"1\n2\n0\n3\n",)),
         Kind("t.mtl", "textures", _material, (b"newmtl a\nmap_Kd -s 1 1 1 a.png\nKd 1 1 1\n",)),
         Kind("t.glb", "textures", read_texture, ((_FOLDER / "seed.glb").read_bytes(),)),
         Kind("v.ply", "textures", read_vertex_colours, ((_FOLDER / "seed.ply").read_bytes(),)),
     ]
     return kinds
+
+
+def _recording() -> bytes:
+    """A file of the layout of Dyna: one sequence of two frames."""
+    path = _FOLDER / "seed.hdf5"
+    with h5py.File(path, "w", libver="latest") as file:
+        file["faces"] = _MESH.faces.astype("u2")
+        file["50002_hips"] = np.stack([_MESH.vertices, _MESH.vertices], axis=2).astype("f4")
+        file["50002_hips"].attrs["frames"] = [3, 9]
+    return path.read_bytes()
+
+
+def _stored() -> bytes:
+    """A store of the descriptors of two shapes."""
+    recipe = single_recipe("gps")
+    shape = StoredShape(
+        "a", "x", "t", "k", 2, 3, lambda: (np.ones((2, recipe.width), "f4"), np.array([0, 1, -1]))
+    )
+    shapes = [shape, replace(shape, name="b")]
+    path = _FOLDER / "seed.h5"
+    save_store(path, shapes, collection=folder_collection(_SET), recipe=recipe, remeshings=0)
+    return path.read_bytes()
 
 
 def _legacy_vtk(*, is_text: bool) -> bytes:

@@ -110,6 +110,28 @@ def test_a_batch_takes_landmarks_of_its_pairs(folder):
     assert (found.target_index != plain.target_index).any()
 
 
+def test_a_batch_says_what_was_not_repaired(folder, blob):
+    bowl = Mesh(blob.vertices, blob.faces[blob.vertices[blob.faces, 0].max(axis=1) < 0.5])
+    write_mesh(bowl, folder / "bowl.off")
+    (folder / "pairs.csv").write_text(
+        "source,target\na.off,b.off\nbowl.off,b.off\nb.off,bowl.off\n"
+    )
+    pairs = read_pairs_of_files(folder / "pairs.csv", folder=folder)
+    done = match_files(pairs, model=MODEL, workers=Workers(1))
+    said = {each.pair.source.stem: each.not_repaired for each in done}
+    assert said["a"] == ""
+    assert said["bowl"].endswith("in the source")
+    assert said["b"].endswith("in the target")
+    assert "hole" in said["b"]
+
+
+def test_a_wrong_limit_of_the_cache_is_refused_once(folder, monkeypatch):
+    monkeypatch.setenv("ESD_CACHE_LIMIT", "much")
+    pairs = read_pairs_of_files(folder / "pairs.csv", folder=folder)
+    with pytest.raises(InputError, match=r"^ESD_CACHE_LIMIT must be a number of gigabytes"):
+        list(match_files(pairs, model=MODEL, workers=Workers(1)))
+
+
 def test_a_batch_by_way_of_coarse_copies_gives_the_maps_of_its_pairs(folder):
     pairs = read_pairs_of_files(folder / "pairs.csv", folder=folder)[:1]
     (done,) = match_files(pairs, model=MODEL, coarse=300, workers=Workers(1))

@@ -128,6 +128,9 @@ def batch(
             failed += done.failure is not None
             if not as_json and done.failure:
                 typer.echo(f"{done.pair.output}\t{done.failure}")
+            elif not as_json and done.not_repaired and done.verdict != "good":
+                said = f"{done.verdict or 'not judged'}; not repaired: {done.not_repaired}"
+                typer.echo(f"{done.pair.output}\t{said}")
     if as_json:
         seconds = time.perf_counter() - start
         summary = {"model": loaded.name, "maps": maps, "seconds": seconds}

@@ -92,6 +92,7 @@ def match(
     from esd.matching.correspondence import check_map_path, save_map
     from esd.matching.match import match as match_meshes
     from esd.matching.match import prepared
+    from esd.spectral.cache import default_cache
 
     check_coarse(coarse, one_to_one=one_to_one, full=full)
     start = time.perf_counter()
@@ -108,7 +109,7 @@ def match(
     if reject:
         check_threshold(loaded)
     names, pairs = landmark_pairs(landmarks or [], source, target)
-    shapes = []
+    cache, shapes = default_cache(), []
     with progress("matching"):
         for file in (source, target):
             with about(file):
@@ -125,6 +126,7 @@ def match(
                 adapt=adapt,
                 coarse=coarse,
                 full=full,
+                cache=cache,
             )
     if reject:
         result = result.rejecting(loaded.threshold())

@@ -120,8 +120,21 @@ class Store:
         return self.descriptors[first:last], np.where(rows >= 0, rows - first, -1)
 
     def rows_of(self, place: int) -> IntArray:
-        """Rows of the shape at a place, (points,)."""
-        return self.rows[self.point_start[place] : self.point_start[place + 1]]
+        """Rows of the shape at a place, (points,).
+
+        Raises
+        ------
+        InputError
+            If they are no rows of it.
+        """
+        rows = self.rows[self.point_start[place] : self.point_start[place + 1]]
+        first, last = self.vertex_start[place : place + 2]
+        if not ((rows == -1) | ((rows >= first) & (rows < last))).all():
+            raise InputError(
+                f"The store '{self.path}' is damaged; make it anew: points of "
+                f"'{self.names[place]}' are at rows that it does not have."
+            )
+        return rows
 
     def moments(self, places: Sequence[int]) -> tuple[FloatArray, FloatArray]:
         """Mean and variance of each column, (width,) each, over the vertices of some shapes."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -62,6 +62,8 @@ class MatchedPair:
         Of the candidate that was chosen, see `esd.matching.judge`; None where there was no choice.
     chain
         Shapes by way of which the map goes; none of a direct one.
+    not_repaired
+        What does harm in either shape and was not repaired, in words.
     failure
         None if the map was written.
     """
@@ -73,6 +75,7 @@ class MatchedPair:
     expected_accuracy: float | None = None
     cost: float | None = None
     chain: tuple[str, ...] = ()
+    not_repaired: str = ""
     failure: str | None = None
 
 
@@ -210,6 +213,7 @@ def match_files(
         the first pair is returned.
     """
     check_copies(one_to_one=one_to_one, coarse=coarse, full=full)
+    default_cache()  # a wrong limit is refused here, and not of each shape
     if adapt:
         check_adaptation(model)
     full = full or one_to_one
@@ -226,10 +230,11 @@ def match_files(
             full=full,
             refine=refine,
         )
-        failures = {}
+        failures, left = {}, {}
         for computed in outcomes(first, files, workers=workers):
             if computed.failure:
                 failures[computed.job] = computed.failure_of(computed.job)
+            left[computed.job] = computed.result or ""
             on_step()
         sound = []
         for pair in pairs:
@@ -255,6 +260,7 @@ def match_files(
         for matched in outcomes(work, map(_Job, sound), workers=workers):
             on_step()
             found = matched.result or MatchedPair(matched.job.pair, failure=matched.failure)
+            found = replace(found, not_repaired=_not_repaired(found.pair, left))
             if on_collection is None:
                 yield found
             direct.append(found)
@@ -306,7 +312,8 @@ def _as_collection(
     for outcome in outcomes(work, jobs, workers=workers):
         if outcome.result is not None:
             pair = number[outcome.job.pair.source], number[outcome.job.pair.target]
-            best[pair] = outcome.result
+            kept = best[pair].not_repaired
+            best[pair] = replace(outcome.result, not_repaired=kept)
             improved += 1
     replaced = {each.pair: each for each in best.values()}
     after = _cycle_miss(best, files, places) if improved else before
@@ -346,8 +353,8 @@ def _save_features_of(
     coarse: int | None,
     full: bool,
     refine: bool | None,
-) -> None:
-    """Compute the features of a shape, and write them to its folder."""
+) -> str:
+    """Compute the features of a shape, write them to its folder, and say what is not repaired."""
     shape = prepared(file, everything=everything, coarse=coarse, full=full)
     save_features(
         working_features(
@@ -355,6 +362,13 @@ def _save_features_of(
         ),
         places[file],
     )
+    return shape.not_repaired()
+
+
+def _not_repaired(pair: PairOfFiles, left: Mapping[Path, str]) -> str:
+    """What was not repaired in the shapes of a pair, in words."""
+    ends = ("source", pair.source), ("target", pair.target)
+    return "; ".join(f"{left[file]} in the {name}" for name, file in ends if left.get(file))
 
 
 def _match(

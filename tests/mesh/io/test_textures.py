@@ -47,8 +47,27 @@ def test_several_images_become_one(tmp_path):
     (tmp_path / "m.obj").write_text(
         OBJ.replace("vt 1 0", "vt 3 0") + "usemtl b\n" + FACE + "usemtl a\n" + FACE
     )
-    with pytest.raises(InputError, match="several images that are repeated over the surface"):
+    # the images are repeated three times across, of which the first face sees all
+    texture = read_texture(tmp_path / "m.obj")
+    assert texture.image.size == (3 * 8, 8)
+    np.testing.assert_allclose(texture.coordinates[0], [[0.5, 0], [1, 0], [0.5, 1]])
+    assert [texture.image.getpixel((x, 4))[0] for x in (1, 9, 13)] == [255, 255, 100]
+    (tmp_path / "m.obj").write_text(
+        OBJ.replace("vt 1 0", "vt 99 0") + "usemtl b\n" + FACE + "usemtl a\n" + FACE
+    )
+    with pytest.raises(InputError, match="repeats images 99 × 1 times over one face"):
         read_texture(tmp_path / "m.obj")
+    # a face on another repetition looks the same on the first
+    (tmp_path / "m.obj").write_text(
+        OBJ.replace("vt 0 0", "vt -2 5").replace("vt 1 0", "vt -1 5").replace("vt 0 1", "vt -2 6")
+        + "usemtl b\n"
+        + FACE
+        + "usemtl a\n"
+        + FACE
+    )
+    texture = read_texture(tmp_path / "m.obj")
+    assert texture.image.size == (8, 8)
+    np.testing.assert_array_equal(texture.coordinates[1], [[0, 0], [0.5, 0], [0, 1]])
 
 
 def test_several_images_of_glb_become_one(tmp_path):

@@ -38,6 +38,17 @@ def test_slivers_folds_and_few_vertices_are_found():
         repair((np.zeros((3, 3)), np.array([[0, 1, 2]])))
 
 
+def test_vertices_that_are_no_number_are_named_once():
+    vertices = SPHERE.vertices.copy()
+    vertices[3] = np.nan
+    kinds = found((vertices, SPHERE.faces))
+    assert kinds["non_finite_vertices"] == 1
+    assert "unreferenced_vertices" not in kinds
+    more = np.concatenate([vertices, [[9.0, 9, 9], [np.nan, 0, 0]]])
+    kinds = found((more, SPHERE.faces))
+    assert (kinds["non_finite_vertices"], kinds["unreferenced_vertices"]) == (2, 1)
+
+
 def test_faces_that_cut_through_each_other_are_found_where_libigl_is_there(monkeypatch):
     crossing = joined(SPHERE, Mesh(SPHERE.vertices + np.array([1, 0.1, 0.2]), SPHERE.faces))
     monkeypatch.setitem(sys.modules, "igl.copyleft", None)

@@ -178,7 +178,8 @@ def read_arrays(path: str | os.PathLike[str]) -> tuple[npt.NDArray[Any], npt.NDA
         why = "it is damaged, or of another format" if faulty else reason(error)
         raise InputError(f"'{path}' cannot be read as {kind}: {why}") from error
     if polygons != len(faces):
-        _log.warning("'%s': %d polygons were cut into %d triangles.", path, polygons, len(faces))
+        cut = "1 polygon was" if polygons == 1 else f"{polygons} polygons were"
+        _log.warning("'%s': %s cut into %d triangles.", path, cut, len(faces))
     return vertices, faces
 
 

@@ -21,6 +21,7 @@ TEXTURE_FORMATS = (".obj", ".glb")
 
 _WIDEST, _HIGHEST = 2**14, 2**13  # pixels of an image that is put together of several
 _OUTSIDE = 0.01  # of an image, by which coordinates may be off it through rounding
+_MOST_TILES = 64  # repetitions of an image over one face
 _OPTIONS = {"-blendu": 1, "-blendv": 1, "-bm": 1, "-boost": 1, "-cc": 1, "-clamp": 1}
 _OPTIONS |= {"-imfchan": 1, "-mm": 2, "-texres": 1, "-type": 1, "-o": 3, "-s": 3, "-t": 3}
 
@@ -46,13 +47,13 @@ def read_texture(path: str | os.PathLike[str]) -> Texture:
 
     An OBJ file names its image in the material file that it names; a GLB file holds it. Images of
     other colours than red, green and blue, such as CMYK, are converted. Several images are put side
-    by side into one.
+    by side into one, those that are repeated over a face as often as needed.
 
     Raises
     ------
     InputError
         If the file is of another format, has no texture coordinates or no image at some faces,
-        or several images that are repeated over the surface, or Pillow is not installed.
+        or several images that are repeated many times over one face, or Pillow is not installed.
     """
     path = Path(path)
     if path.suffix.lower() not in TEXTURE_FORMATS:
@@ -66,11 +67,13 @@ def read_texture(path: str | os.PathLike[str]) -> Texture:
     images = [_image(*content) for content in contents]
     if len(images) == 1:
         return Texture(coordinates, images[0])
-    if coordinates.min() < -_OUTSIDE or coordinates.max() > 1 + _OUTSIDE:
+    moved, tiles = _tiled(coordinates)
+    if tiles.prod() > _MOST_TILES:
         raise InputError(
-            f"'{path}' has several images that are repeated over the surface; bake them into one."
+            f"'{path}' repeats images {tiles[0]} × {tiles[1]} times over one face; expected at "
+            f"most {_MOST_TILES} times in all. Bake them into one."
         )
-    return _side_by_side(coordinates, images, number)
+    return _side_by_side(moved, images, number, tiles)
 
 
 def write_textured(mesh: Mesh, texture: Texture, path: str | os.PathLike[str]) -> None:
@@ -130,18 +133,45 @@ def _image(content: bytes, name: str) -> Any:
         raise InputError(f"'{name}' cannot be read as an image: {error}.") from error
 
 
-def _side_by_side(coordinates: FloatArray, images: list[Any], number: IntArray) -> Texture:
-    """One texture of several images, of which `number` says which is on each face, (m,)."""
+def _tiled(coordinates: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Coordinates moved by whole images, each face to the first, and how many any reaches, (2,).
+
+    Renderers repeat an image in all directions; a face that lies on one repetition of it looks the
+    same on the first.
+    """
+    moved = coordinates - np.floor(coordinates.min(axis=1, keepdims=True) + _OUTSIDE)
+    tiles = np.maximum(np.ceil(moved.max(axis=(0, 1)) - _OUTSIDE), 1).astype(np.int64)
+    return np.clip(moved, 0, tiles), tiles
+
+
+def _side_by_side(
+    coordinates: FloatArray, images: list[Any], number: IntArray, tiles: IntArray
+) -> Texture:
+    """One texture of several images, each repeated.
+
+    Parameters
+    ----------
+    coordinates : (m, 3, 2)
+        In units of an image, from zero to `tiles`.
+    number : (m,)
+        The image on each face.
+    tiles : (2,)
+        How often each image is repeated, across and up.
+    """
     from PIL import Image
 
-    width = min(max(image.width for image in images), _WIDEST // len(images))
-    height = min(max(image.height for image in images), _HIGHEST)
-    whole = Image.new("RGBA", (width * len(images), height))
+    across, up = tiles.tolist()
+    width = min(max(image.width for image in images), _WIDEST // (len(images) * across))
+    height = min(max(image.height for image in images), _HIGHEST // up)
+    whole = Image.new("RGBA", (width * len(images) * across, height * up))
     for place, image in enumerate(images):
-        whole.paste(image.convert("RGBA").resize((width, height)), (place * width, 0))
-    moved = np.clip(coordinates, 0, 1)
-    moved[:, :, 0] = (moved[:, :, 0] + number[:, None]) / len(images)
-    return Texture(moved, whole)
+        tile = image.convert("RGBA").resize((width, height))
+        for i in range(across):
+            for j in range(up):
+                whole.paste(tile, ((place * across + i) * width, j * height))
+    # image k takes the columns of pixels from k times its width on, all repetitions included
+    u = (coordinates[:, :, 0] / across + number[:, None]) / len(images)
+    return Texture(np.stack([u, coordinates[:, :, 1] / up], axis=2), whole)
 
 
 _Found: TypeAlias = tuple[FloatArray, list[tuple[bytes, str]], IntArray]

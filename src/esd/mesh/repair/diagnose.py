@@ -65,6 +65,11 @@ def diagnosed(
     findings, mesh = sound_part(vertices, faces)
     if mesh is None:
         return Diagnosis(*counts, 0.0, tuple(findings)), None
+    # vertices whose faces were left out are named for that already
+    named = faces[((faces >= 0) & (faces < len(vertices))).all(axis=1)]
+    used = np.zeros(len(vertices), dtype=bool)
+    used[named.ravel()] = True
+    findings += found("unreferenced_vertices", is_finite(vertices) & ~used)
     findings += _examine(mesh)
     if thorough:
         findings += _self_intersections(mesh)
@@ -76,10 +81,9 @@ def diagnosed(
 def _examine(mesh: Mesh) -> list[Finding]:
     """What is wrong with the surface of a mesh."""
     findings = []
-    used = is_referenced(mesh)
-    findings += found("unreferenced_vertices", ~used)
+    all_vertices = np.arange(len(mesh.vertices))
     first = seam_partners(mesh)
-    findings += found("duplicate_vertices", first != np.arange(len(used)))
+    findings += found("duplicate_vertices", first != all_vertices)
     collapsed, repeated = is_collapsed(mesh.faces), is_repeated(mesh.faces)
     findings += found("collapsed_faces", collapsed)
     findings += found("duplicate_faces", repeated & ~collapsed)
@@ -88,7 +92,7 @@ def _examine(mesh: Mesh) -> list[Finding]:
     # what follows is that of the surface that is computed on
     mesh = replace(mesh, faces=first[mesh.faces])
     first = collapse_partners(mesh)
-    findings += found("zero_length_edges", first != np.arange(len(used)))
+    findings += found("zero_length_edges", first != all_vertices)
     mesh = replace(mesh, faces=first[mesh.faces])
     if is_collapsed(mesh.faces).all():  # once what rounding separates is joined
         return [*findings, Finding("flat_meshes", 1, 1.0)]
