@@ -172,6 +172,11 @@ def test_stores_of_something_else_are_refused(collection, tmp_path):
         open_store(path)
     path.write_bytes(whole)
     with h5py.File(path, "a") as file:
+        file["rows"][0] = 10**6
+    with pytest.raises(InputError, match="points of '.*' are at rows that it does not have"):
+        open_store(path).read(0)
+    path.write_bytes(whole)
+    with h5py.File(path, "a") as file:
         del file["mean"]
         file["mean"] = np.zeros((3, 11), dtype="f4")
     with pytest.raises(InputError, match="'/mean' is not as it was written"):
