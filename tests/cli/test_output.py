@@ -1,50 +1,9 @@
 import os
-import re
-import sys
-import time
 
 import pytest
 
-import esd.cli.progress as progress
-from esd.cli import main
 from esd.cli.output import destination
 from esd.common import InputError
-from esd.descriptors.recipe import DESCRIPTOR_KINDS
-from esd.learning.model import bundled_models
-from esd.learning.presets import PRESETS
-
-
-@pytest.mark.parametrize(
-    ("command", "names"),
-    [
-        ("match", (*bundled_models(), *DESCRIPTOR_KINDS)),
-        ("evaluate", (*bundled_models(), *DESCRIPTOR_KINDS)),
-        ("descriptor", DESCRIPTOR_KINDS),
-        ("train", tuple(PRESETS)),
-        ("precompute", tuple(PRESETS)),
-    ],
-)
-def test_help_lists_what_the_package_holds(command, names, monkeypatch, capsys):
-    monkeypatch.setenv("COLUMNS", "1000")
-    monkeypatch.setattr(sys, "argv", ["esd", command, "-h"])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert not ended.value.code
-    text = capsys.readouterr().out
-    assert {name for name in names if not re.search(rf"\b{re.escape(name)}\b", text)} == set()
-    assert not re.search(r"\{(models|presets|descriptors)\}", text)
-
-
-def test_where_there_is_no_terminal_progress_is_a_line_now_and_then(monkeypatch, capsys):
-    monkeypatch.setattr(progress, "SILENCE", 0.05)
-    with progress.progress("counting", 3) as advance:
-        advance(2)
-        time.sleep(0.2)
-    with progress.progress("waiting"):
-        time.sleep(0.2)
-    lines = capsys.readouterr().err.splitlines()
-    assert lines[0] == "esd: counting: 2 of 3, 0 s"
-    assert lines[-1] == "esd: waiting: 0 s"
 
 
 def test_destinations(tmp_path):
@@ -64,3 +23,34 @@ def test_destinations(tmp_path):
     missing = tmp_path / "none.txt"
     with pytest.raises(InputError, match="is read by this command"):
         destination(missing, force=True, inputs=[os.path.relpath(missing)])
+
+
+def test_nothing_is_overwritten_unless_forced(run_here, pair):
+    common = ("a.off", "b.off", "map.csv")
+    before = (pair / "a.vts").read_text()
+    for arguments in (
+        ("export", *common, "-o", "a.vts"),
+        ("spectrum", "a.off", "-k", 5, "-o", "a.npz"),
+        ("descriptor", "a.off", "-o", "a.npz"),
+        ("match", "a.off", "b.off", "-o", "map.csv"),
+        ("match", "a.off", "b.off", "--view"),
+        ("train", "bodies", "--preset", "paper-hks", "-o", "model"),
+        ("data", "bodies", "--export", "set"),
+    ):
+        (pair / "a.npz").write_bytes(b"x")
+        (pair / "a-b.html").write_bytes(b"x")
+        (pair / "model").mkdir(exist_ok=True)
+        for name in ("config.json", "model.safetensors"):
+            (pair / "model" / name).write_text("x")
+        (pair / "set" / "shapes").mkdir(parents=True, exist_ok=True)
+        (pair / "set" / "shapes" / "x.off").write_text("x")
+        done = run_here(*arguments, where=pair, expect=1)
+        assert "exists; choose another name, or give --force" in done.stderr
+        assert done.stderr.count("\n") == 1
+    assert (pair / "a.vts").read_text() == before
+    (pair / "empty.npz").touch()  # nothing to lose
+    run_here("spectrum", "a.off", "-k", 5, "-o", "empty.npz", where=pair)
+    run_here("spectrum", "a.off", "-k", 5, "-o", "a.npz", "--force", where=pair)
+    run_here("spectrum", "a.off", "-k", 5, where=pair)
+    assert (pair / "a-spectrum.npz").is_file()
+    assert not (pair / "a-b.csv").exists()

@@ -1,0 +1,47 @@
+import logging
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from esd.cli import main
+from esd.matching.correspondence import Correspondence, save_map
+from esd.mesh.io.meshes import write_mesh
+from esd.mesh.mesh import Mesh
+from esd.mesh.shapes import subdivide, torus
+
+
+@pytest.fixture
+def run_here(capsys, monkeypatch):
+    """Run a command in this process, which saves the time of a start."""
+
+    def run_command(*arguments: object, expect: int = 0, where: Path) -> SimpleNamespace:
+        monkeypatch.chdir(where)
+        monkeypatch.setattr(sys, "argv", ["esd", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+            raise SystemExit(0)
+        logging.getLogger().setLevel(logging.WARNING)
+        stdout, stderr = capsys.readouterr()
+        assert (ended.value.code or 0) == expect, stderr
+        return SimpleNamespace(stdout=stdout, stderr=stderr)
+
+    return run_command
+
+
+@pytest.fixture
+def pair(tmp_path) -> Path:
+    """A torus, the same with four times the faces, and the map between them."""
+    source = torus(12, 8)
+    target = subdivide(source)
+    write_mesh(source, tmp_path / "a.off")
+    write_mesh(Mesh(target.vertices * [1, 1, 2], target.faces), tmp_path / "b.off")
+    count = len(source.vertices)
+    match = Correspondence(np.arange(count), np.zeros(count), np.ones(count))
+    save_map(match, tmp_path / "map.csv")
+    vertices = "\n".join(map(str, range(1, count + 1)))
+    for name in "ab":
+        (tmp_path / f"{name}.vts").write_text(vertices)
+    return tmp_path
