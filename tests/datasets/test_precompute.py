@@ -173,7 +173,7 @@ def test_stores_of_something_else_are_refused(collection, tmp_path):
     path.write_bytes(whole)
     with h5py.File(path, "a") as file:
         file["rows"][0] = 10**6
-    with pytest.raises(InputError, match="points of '.*' are at rows that it does not have"):
+    with pytest.raises(InputError, match=r"points of '.*' are at rows that it does not have"):
         open_store(path).read(0)
     path.write_bytes(whole)
     with h5py.File(path, "a") as file:
