@@ -99,7 +99,7 @@ CoarseOption = Annotated[
         metavar="N",
         min=300,
         help="Match remeshed copies of about N vertices and upsample the map to all; 10000 by "
-        "default where a mesh has more than fifty thousand.",
+        "default where a mesh has more than twenty thousand.",
         show_default=False,
     ),
 ]

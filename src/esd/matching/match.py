@@ -38,7 +38,7 @@ _log = logging.getLogger(__name__)
 DEFAULT_MODEL = "default"
 """Name of the model that is used where none is given."""
 
-DENSE = 50_000
+DENSE = 20_000
 """Number of vertices beyond which a map goes by way of coarse copies."""
 
 COARSE = 10_000
@@ -98,7 +98,7 @@ def match(
     coarse
         For dense meshes: number of vertices of the copies, remeshed, that are matched in their
         place; the map is upsampled to all vertices, see `esd.matching.dense`. By default ten
-        thousand if a mesh has more than fifty thousand.
+        thousand if a mesh has more than twenty thousand.
     full
         Whether meshes are matched as they are, dense or coarse: no copies are made.
     cache
@@ -121,9 +121,9 @@ def match(
     work = partial(
         working_features, model=model, refine=refine, coarse=coarse, full=full, cache=cache
     )
-    is_dense = max(len(each.shape.vertices) for each in shapes) > DENSE
-    # not both at a time where memory is scarce
-    described = [work(each) for each in shapes] if is_dense else side_by_side(work, shapes)
+    # spectra of dense meshes not both at a time: memory is scarce
+    one_by_one = full and any(map(_is_dense, shapes))
+    described = [work(each) for each in shapes] if one_by_one else side_by_side(work, shapes)
     found = match_features(
         described[0],
         described[1],
@@ -171,12 +171,8 @@ def prepared(
     coarse, full
         See `match`.
     """
-    found = repair(source, everything=everything, restore=True, together=not full)
-    if everything or full or found.around is not None:
-        return found
-    if coarse is not None or _is_dense(found):
-        return repair(source, everything=True, restore=True)
-    return found
+    dense = None if full else 0 if coarse is not None else DENSE
+    return repair(source, everything=everything, restore=True, together=not full, dense=dense)
 
 
 def working_features(

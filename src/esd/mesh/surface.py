@@ -13,6 +13,8 @@ from esd.mesh.mesh import Mesh
 
 WALK = 3  # vertices further on that the closest point may lie
 
+_ROWS = 4096
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfacePoints:
@@ -114,6 +116,15 @@ def closest_around(
     around
         The mesh's `faces_around`.
     """
+    if len(queries) > _ROWS:  # some at a time: arrays that stay in the cache of the processor
+        parts = [
+            closest_around(mesh, around, queries[i : i + _ROWS], vertex[i : i + _ROWS])
+            for i in range(0, len(queries), _ROWS)
+        ]
+        return SurfacePoints(
+            np.concatenate([part.face for part in parts]),
+            np.concatenate([part.weights for part in parts]),
+        )
     first, last = around.indptr[vertex], around.indptr[vertex + 1]
     face = np.empty(len(queries), dtype=np.int64)
     weights = np.zeros((len(queries), 3))
@@ -163,27 +174,50 @@ def closest_in_triangles(
     """
     if points.shape[1] != 3:
         return _closest_by_inner_products(points, triangles)
-    weights = barycentric_weights(points, triangles)
-    least = np.where((weights >= 0).all(axis=1), _squared_gap(weights, points, triangles), np.inf)
+    # coordinate by coordinate: sums over the short axis of (k, 3) take many times as long
+    point, corners = points.T.copy(), triangles.transpose(1, 2, 0).copy()  # (3, k), (3, 3, k)
+    a, b, c = corners
+    normal = _cross(b - a, c - a)
+    squared = _dot(normal, normal)
+    known = np.where(squared == 0, np.nan, squared)
+    second = _dot(_cross(point - a, c - a), normal) / known
+    third = _dot(_cross(b - a, point - a), normal) / known
+    weights = np.stack([(squared / known) - second - third, second, third])  # (3, k)
+    inside = (weights >= 0).all(axis=0)
+    least = np.where(inside, _squared_gap(weights, point, corners), np.inf)
     for corner in range(3):  # the side opposite to each
-        first, second = (corner + 1) % 3, (corner + 2) % 3
-        start, side = triangles[:, first], triangles[:, second] - triangles[:, first]
-        squared = (side**2).sum(axis=1)
-        share = ((points - start) * side).sum(axis=1) / np.where(squared > 0, squared, 1)
+        first, other = (corner + 1) % 3, (corner + 2) % 3
+        start, side = corners[first], corners[other] - corners[first]
+        length = _dot(side, side)
+        share = _dot(point - start, side) / np.where(length > 0, length, 1)
         share = share.clip(0, 1)
-        gap = ((start + share[:, None] * side - points) ** 2).sum(axis=1)
+        away = start + share * side - point
+        gap = _dot(away, away)
         closer = gap < least
-        least[closer] = gap[closer]
-        weights[closer] = 0
-        weights[closer, first] = 1 - share[closer]
-        weights[closer, second] = share[closer]
+        least = np.where(closer, gap, least)
+        weights[corner] = np.where(closer, 0, weights[corner])
+        weights[first] = np.where(closer, 1 - share, weights[first])
+        weights[other] = np.where(closer, share, weights[other])
     # of the points as they are given, so that equal ones of two triangles are equally far
-    return weights, _squared_gap(weights, points, triangles)
+    return weights.T.copy(), _squared_gap(weights, point, corners)
 
 
-def _squared_gap(weights: FloatArray, points: FloatArray, triangles: FloatArray) -> FloatArray:
-    gap = np.einsum("ki,kid->kd", weights, triangles) - points
-    return np.asarray((gap**2).sum(axis=1))
+def _cross(u: FloatArray, v: FloatArray) -> FloatArray:
+    """Cross products, (3, k), of vectors (3, k)."""
+    return np.stack(
+        [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]]
+    )
+
+
+def _dot(u: FloatArray, v: FloatArray) -> FloatArray:
+    """Inner products, (k,), of vectors (3, k)."""
+    return np.asarray(u[0] * v[0] + u[1] * v[1] + u[2] * v[2])
+
+
+def _squared_gap(weights: FloatArray, point: FloatArray, corners: FloatArray) -> FloatArray:
+    """Squared distances, (k,), of points (3, k) from those at weights of corners (3, 3, k)."""
+    gap = weights[0] * corners[0] + weights[1] * corners[1] + weights[2] * corners[2] - point
+    return _dot(gap, gap)
 
 
 def _closest_by_inner_products(

@@ -17,6 +17,9 @@ from esd.spectral.cache import Arrays, Cache, content_key
 from esd.spectral.laplacian import LaplacianKind, lumped_mass
 from esd.spectral.spectrum import Spectrum, spectrum
 
+# of copies: graded ones are uneven where the dense mesh has creases, such as decimated ones have
+_STYLE = "even"
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeshCopy:
@@ -68,10 +71,10 @@ def coarse_copy(
     if len(used) > vertex_count:
 
         def compute() -> Arrays:
-            made = remesh(mesh, vertex_count, seed=0)
+            made = remesh(mesh, vertex_count, style=_STYLE, seed=0)
             return {"vertices": made.mesh.vertices, "faces": made.mesh.faces, "near": made.nearest}
 
-        key = content_key("coarse", mesh.vertices, mesh.faces, count=vertex_count)
+        key = content_key("coarse", mesh.vertices, mesh.faces, count=vertex_count, style=_STYLE)
         arrays = compute() if cache is None else cache.computed(key, compute)
         copy, near = Mesh(arrays["vertices"], arrays["faces"]), arrays["near"]
     return _located_on(copy, mesh, used, near[used])

@@ -3,6 +3,7 @@ import pytest
 
 from esd.mesh.geometry import is_consistently_oriented
 from esd.mesh.mesh import Mesh
+from esd.mesh.remesh import dual as cells
 from esd.mesh.remesh.density import density_and_metric
 from esd.mesh.remesh.dual import dual, spread_sites
 from esd.mesh.remesh.refinement import refined
@@ -36,3 +37,15 @@ def test_more_rounds_spread_sites_more_evenly():
         gap = np.linalg.norm(points[:, None] - points, axis=2)
         shortest.append(gap[np.triu_indices(50, 1)].min())
     assert shortest[1] > 2 * shortest[0]
+
+
+def test_cells_of_more_sites_are_those_computed_anew(blob):
+    fine = refined(blob, 0.1)
+    _, metric = density_and_metric(blob, fine, STYLES["graded"])
+    count = metric.shape[0]
+    sites = np.sort(np.random.default_rng(0).choice(count, 40, replace=False))
+    grown = np.union1d(sites, np.random.default_rng(1).choice(count, 15, replace=False))
+    cell, distance = cells._with_more(metric, sites, grown, *cells._cells(metric, sites))
+    expected, length = cells._cells(metric, grown)
+    np.testing.assert_allclose(distance, length, rtol=1e-12)
+    assert (cell == expected).mean() > 0.999  # vertices as near to two sites go to either

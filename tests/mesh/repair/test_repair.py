@@ -14,7 +14,7 @@ from esd.mesh.mesh import Mesh, PointCloud
 from esd.mesh.repair.diagnose import diagnose
 from esd.mesh.repair.repair import repair
 from esd.mesh.shapes import grid, icosphere, torus
-from esd.mesh.topology import boundary_edges
+from esd.mesh.topology import boundary_edges, edge_table
 from measures import signed_volume
 
 
@@ -135,6 +135,21 @@ def test_only_the_piece_that_is_kept_says_whether_the_shape_was_inside_out():
     one_other = SPHERE.faces.copy()
     one_other[7] = one_other[7, ::-1]
     assert not repair((SPHERE.vertices, one_other)).is_flipped
+
+
+def test_dense_meshes_are_repaired_entirely_but_for_damaged_faces():
+    # two spheres that share an edge: cut apart only where everything is repaired
+    start, end = SPHERE.faces[0, :2]
+    other = SPHERE.faces + COUNT
+    other[SPHERE.faces == start], other[SPHERE.faces == end] = start, end
+    moved = SPHERE.vertices + np.array([3.0, 0.0, 0.0])
+    mesh = Mesh(np.concatenate([SPHERE.vertices, moved]), np.concatenate([SPHERE.faces, other]))
+    assert edge_table(repair(mesh).shape.faces, 2 * COUNT).count.max() == 4
+    for dense in (0, 100):
+        found_mesh = repair(mesh, dense=dense).shape
+        assert edge_table(found_mesh.faces, len(found_mesh.vertices)).count.max() == 2
+    with pytest.raises(InputError, match="must hold indices"):
+        repair((mesh.vertices, np.append(mesh.faces, [[0, 1, 9999]], axis=0)), dense=0)
 
 
 def test_a_file_that_is_refused_is_named(tmp_path):

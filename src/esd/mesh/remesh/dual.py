@@ -55,6 +55,35 @@ def _cells(metric: sparse.csr_array, sites: IntArray) -> tuple[IntArray, FloatAr
     return number[np.maximum(source, -1)], distance
 
 
+def _with_more(
+    metric: sparse.csr_array,
+    sites: IntArray,
+    grown: IntArray,
+    cell: IntArray,
+    distance: FloatArray,
+) -> tuple[IntArray, FloatArray]:
+    """The `_cells` of all sites from those of some: only what lies around the others changes.
+
+    Parameters
+    ----------
+    sites, grown
+        Sorted; the latter contain the former.
+    """
+    more = np.setdiff1d(grown, sites)
+    reached = np.isfinite(distance)
+    # where no site was reached the way may be any length
+    limit = float(distance[reached].max()) if reached.all() else np.inf
+    nearer, _, source = csgraph.dijkstra(
+        metric, indices=more, min_only=True, return_predecessors=True, limit=limit
+    )
+    number = np.full(metric.shape[0], -1)
+    number[grown] = np.arange(len(grown))
+    cell = np.where(cell >= 0, number[sites[cell]], -1)  # by the new numbers
+    closer = nearer < distance
+    cell[closer] = number[source[closer]]
+    return cell, np.minimum(nearer, distance)
+
+
 def _first_of_each(cell: IntArray, value: FloatArray) -> IntArray:
     """Member of each cell with the least value, in the order of the cells."""
     # by cell, and within a cell by value: the first of each cell has the least
@@ -71,21 +100,23 @@ def dual(
     Sites are added where their triangles are no manifold or face inward.
     """
     referenced = is_referenced(fine.mesh)
+    cell, distance = _cells(metric, sites)
     for _ in range(REPAIRS):
-        cell, distance = _cells(metric, sites)
         corners = cell[fine.mesh.faces]
         meets = (corners != np.roll(corners, 1, axis=1)).all(axis=1) & (corners >= 0).all(axis=1)
         faces = corners[meets]
         bad = _is_folded(faces, cell[fine.rim], len(sites))
         inverted = is_inverted(fine.mesh.vertices[sites], faces, fine.normals[sites])
         bad[faces[inverted]] = True
-        grown = np.union1d(sites, _first_of_each(cell, -distance)[bad])
+        in_bad = np.flatnonzero(bad[cell] & (cell >= 0))
+        grown = np.union1d(sites, in_bad[_first_of_each(cell[in_bad], -distance[in_bad])])
         missed = referenced & (cell < 0)
         if missed.any():  # a component without a site
             piece = np.where(missed, components(fine.mesh), -1)
             grown = np.union1d(grown, _first_of_each(piece, distance))
         if len(grown) == len(sites):
             return sites, cell, faces
+        cell, distance = _with_more(metric, sites, grown, cell, distance)
         sites = grown
     raise InputError(
         f"The surface cannot be followed with about {len(sites)} vertices; ask for more."
@@ -104,9 +135,11 @@ def _is_folded(faces: IntArray, rim: IntArray, count: int) -> BoolArray:
     back = key % count * count + key // count
     open_key = np.concatenate([rim[:, 0] * count + rim[:, 1], rim[:, 1] * count + rim[:, 0]])
     wrong = key[(times > 1) | ~(np.isin(back, key) | np.isin(key, open_key))]
-    _, which, times = np.unique(
-        np.sort(faces, axis=1), axis=0, return_inverse=True, return_counts=True
-    )
     bad[wrong // count] = bad[wrong % count] = True
-    bad[faces[times[which.ravel()] > 1]] = True
+    # a triangle and its reverse: where a corner has others too, an edge or the fan is wrong there
+    suspect = faces[(np.bincount(faces.ravel(), minlength=count)[faces] == 2).any(axis=1)]
+    _, which, times = np.unique(
+        np.sort(suspect, axis=1), axis=0, return_inverse=True, return_counts=True
+    )
+    bad[suspect[times[which.ravel()] > 1]] = True
     return np.asarray(bad | (fan_count(faces, table, count) > 1))

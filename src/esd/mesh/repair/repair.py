@@ -145,6 +145,7 @@ def repair(
     all_pieces: bool = False,
     restore: bool = False,
     together: bool = False,
+    dense: int | None = None,
 ) -> Repaired:
     """A shape without what could be repaired, and which vertex became which.
 
@@ -169,6 +170,9 @@ def repair(
     together
         Whether pieces that touch are all kept, with a closed surface around them, where the
         largest alone leaves out too much. They are not restored.
+    dense
+        Number of vertices beyond which everything is repaired, since meshes that are to be
+        remeshed must be sound; the list of faces must be in any case.
 
     Raises
     ------
@@ -183,6 +187,7 @@ def repair(
     named = f"'{source}': " if isinstance(source, str | os.PathLike) else ""
     if not everything:
         _check_faces(vertices, faces, named)
+        everything = dense is not None and len(vertices) > dense
     diagnosis, mesh = diagnosed(vertices, faces, thorough=False)
     if mesh is None or not surface_area(mesh) > 0:
         raise InputError(f"{named}Nothing of the mesh can be used: {diagnosis.in_a_line()}.")
