@@ -60,6 +60,7 @@ class Tab:
 
     def __init__(self, browser, address: str, **options) -> None:
         self.context = browser.new_context(**{**DESKTOP, **options})
+        self.context.set_default_timeout(120_000)
         self.page = self.context.new_page()
         self.complaints: list[str] = []
         self.page.on("console", lambda message: self.complaints.append(message.text))
@@ -115,6 +116,12 @@ class Tab:
 
     def add(self, *paths: Path) -> None:
         self.page.set_input_files("#files", paths)
+
+    def choose(self, button: str, path: Path) -> None:
+        """Choose a file in the dialogue that a button opens."""
+        with self.page.expect_file_chooser() as chooser:
+            self.page.click(button)
+        chooser.value.set_files(path)
 
     def wait_for_map(self, before: str | None = None) -> str:
         """Wait until a map is shown, another than before; which."""

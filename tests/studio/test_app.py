@@ -1,19 +1,21 @@
 import asyncio
 import json
+import struct
 import time
+from pathlib import Path
 
+import numpy as np
 import pytest
 
 pytest.importorskip("starlette", reason="the extra 'studio' is not installed")
 httpx = pytest.importorskip("httpx", reason="httpx is not installed")
 
-from esd.common import InputError  # noqa: E402
 from esd.mesh.io.meshes import write_mesh  # noqa: E402
 from esd.mesh.mesh import Mesh  # noqa: E402
 from esd.mesh.shapes import subdivide, torus  # noqa: E402
 from esd.studio import app as studio_app  # noqa: E402
 from esd.studio.app import Studio, create_app  # noqa: E402
-from esd.studio.project import Project, check_mesh_name  # noqa: E402
+from esd.studio.project import Project  # noqa: E402
 
 PORT = 4321
 BASE = f"http://127.0.0.1:{PORT}"
@@ -45,6 +47,21 @@ def ask(app, *requests, headers=None):
             return await asyncio.gather(*sent)
 
     return asyncio.run(all_of())
+
+
+def unpacked(content):
+    """Length of the text, meta data and arrays of a scene."""
+    (size,) = struct.unpack("<I", content[:4])
+    meta = json.loads(content[4 : 4 + size])
+    arrays = {
+        name: np.frombuffer(content, f"<{kind}", count, 4 + size + start)
+        for name, kind, start, count in meta["arrays"]
+    }
+    return size, meta, arrays
+
+
+def matched_folder(app):
+    return Path(get(app, "/secret/state").json()["folder"])
 
 
 def get(app, path="/secret/", **headers):
@@ -151,6 +168,90 @@ def test_two_meshes_are_matched_and_what_happened_is_kept(app, tmp_path):
     assert again.maps()[0]["verdict"] == figures["verdict"]
 
 
+@pytest.fixture
+def matched(app, tmp_path):
+    """The application with a map of two shapes, vertex i of one on vertex i of the other."""
+    for name, scale in (("a.off", 1.0), ("b.off", 1.1)):
+        sent = {"params": {"name": name}, "content": mesh_bytes(tmp_path, scale)}
+        ask(app, ("POST", "/secret/shapes", sent))
+    ask(app, ("POST", "/secret/matches", {"json": {"source": 1, "target": 2}}))
+    wait_until_done(app)
+    return app
+
+
+def test_labels_are_carried_and_maps_measured(matched, tmp_path):
+    def post(path, content=b"", **params):
+        answer = ask(matched, ("POST", f"/secret/{path}", {"params": params, "content": content}))[
+            0
+        ]
+        assert answer.status_code < 300, answer.text
+        return answer.json()
+
+    assert get(matched, "/secret/shapes/1/labels").status_code == 404
+    assert get(matched, "/secret/shapes/1/labels/view").status_code == 404
+    post("shapes/1/labels", "\n".join(["<b>", "tail"] * 2048).encode(), name="l.txt")  # of faces
+    _, meta, arrays = unpacked(get(matched, "/secret/shapes/1/labels/view").content)
+    assert meta["names"] == ["<b>", "tail"]
+    assert arrays["labels"].shape == (2048,)
+    assert post("maps/1/2/carry")["job"] is not None
+    state = wait_until_done(matched)
+    assert [shape["labels"] for shape in state["shapes"]] == [1, 1]
+    carried = get(matched, "/secret/shapes/2/labels").text.split()
+    assert len(carried) == 4096  # of faces, too
+    assert set(carried) == {"<b>", "tail"}
+    assert post("maps/1/2/carry")["job"]
+    wait_until_done(matched)
+
+    points = b"\n".join(b"%d" % (i + 1) for i in range(2048))
+    for number in (1, 2):
+        assert "mean_error" not in get(matched, "/secret/state").json()["maps"][0]
+        post(f"shapes/{number}/points", points, name="p.vts")
+    (figures,) = wait_until_done(matched)["maps"]
+    assert 0 <= figures["mean_error"] < 0.02
+    _, meta, arrays = unpacked(get(matched, "/secret/maps/1/2/view").content)
+    assert "error" in arrays
+    assert meta["verdict"]["word"] == figures["verdict"]
+    assert dict(meta["statistics"])["Candidate"]  # the judgement is still that of the match
+    # a true map counts more than points; matched again, the map is measured again
+    post("maps/1/2/truth", b"".join(b"%d\n" % (i + 1) for i in [*range(1, 2048), 0]), name="t.txt")
+    (again,) = wait_until_done(matched)["maps"]
+    assert again["mean_error"] > figures["mean_error"]
+    ask(matched, ("POST", "/secret/matches", {"json": {"source": 1, "target": 2}}))
+    assert wait_until_done(matched)["maps"][0]["mean_error"] == pytest.approx(again["mean_error"])
+
+
+def test_what_is_carried_and_measured_must_fit(matched):
+    def refused(path, content, name, status=400):
+        sent = {"params": {"name": name}, "content": content}
+        answer = ask(matched, ("POST", f"/secret/{path}", sent))[0]
+        assert answer.status_code == status
+        return answer.json()["error"]
+
+    assert "ends in one of .npy" in refused("shapes/1/labels", b"1", "l.exe")
+    assert "each of 2048 vertices or 4096 faces; got 1" in refused("shapes/1/labels", b"1", "l.txt")
+    assert "ends in one of .vts" in refused("shapes/1/points", b"1", "p.txt")
+    assert "vertices from 1 to 2048" in refused("shapes/1/points", b"9999", "p.vts")
+    assert "'points.vts' must hold" in refused("shapes/1/points", b"x", "p.vts")
+    assert "'truth.txt' maps 1 vertices" in refused("maps/1/2/truth", b"1\n", "t.txt")
+    assert "not been matched" in refused("maps/2/1/truth", b"1\n", "t.txt", 404)
+    assert get(matched, "/secret/maps/1/2/nothing").status_code == 404
+    assert get(matched, "/secret/maps/1/2/look").status_code == 400
+    wrong = ask(matched, ("PUT", "/secret/shapes/1/up", {"json": {"up": "w"}}))[0]
+    assert "Expected one of x, -x" in wrong.json()["error"]
+
+
+def test_the_mirror_is_settled_when_a_map_that_is_not_wrong_is_matched_again(matched):
+    body = {"names": ["a", "b", "c"], "places": [3, 500, 900]}
+    for number in (1, 2):
+        ask(matched, ("PUT", f"/secret/shapes/{number}/landmarks", {"json": body}))
+    for verdict, mirror in (("good", "no"), ("failed", "auto")):
+        path = next(iter(matched_folder(matched).glob("maps/1-2.json")))
+        path.write_text(json.dumps({**json.loads(path.read_text()), "verdict": verdict}))
+        sent = {"json": {"source": 1, "target": 2, "landmarks": True}}
+        ask(matched, ("POST", "/secret/matches", sent))
+        assert wait_until_done(matched)["maps"][0]["mirror"] == mirror
+
+
 def test_a_failing_job_reports_its_line(app):
     sent = {"params": {"name": "a.off"}, "content": b"OFF\n1 1 0\nnonsense"}
     ask(app, ("POST", "/secret/shapes", sent))
@@ -197,17 +298,3 @@ def test_what_cannot_be_used_is_refused(app, tmp_path):
     assert "one name" in put(names=["a", "a"], places=[0, 1])
     assert "vertices from 0 to" in put(names=["a"], places=[10**9])
     assert "ends in one of" in refused("POST", "shapes/1/landmarks?name=a.exe", content=b"x")
-
-
-def test_a_folder_with_other_things_or_a_damaged_project_is_refused(tmp_path):
-    (tmp_path / "photo.jpg").write_bytes(b"x")
-    with pytest.raises(InputError, match="holds other files and no project"):
-        Project(tmp_path)
-    (tmp_path / "project.json").write_text("{")
-    with pytest.raises(InputError, match="is damaged"):
-        Project(tmp_path)
-    (tmp_path / "project.json").write_text('{"version": 99}')
-    with pytest.raises(InputError, match="by another version"):
-        Project(tmp_path)
-    with pytest.raises(InputError, match=r"'a.png' is not a mesh file"):
-        check_mesh_name("x/a.png")

@@ -200,6 +200,27 @@ def test_verdict_figures_and_worst_places_are_shown(browser, saved):
     assert opened.readout().startswith(f"source vertex {vertex} →")
 
 
+def test_what_has_no_counterpart_is_grey_on_both_and_explained(browser, tmp_path):
+    index = np.where(SOURCE.vertices[:, 0] < 0, np.arange(len(SOURCE.vertices)), -1)
+    known = np.where(index >= 0, 0.1, np.nan)
+    path = tmp_path / "page.html"
+    view(SOURCE, TARGET, Correspondence(index, known, known), up="y").save(path)
+    opened = Opened(browser, path, viewport={"width": 1070, "height": 600}, color_scheme="light")
+    legend = opened.tab.inner_text("#legend")
+    shares = re.search(r"(\d+) % of the source, (\d+) % of the target", legend).groups()
+    assert 45 <= int(shares[0]) <= 55
+    assert 30 <= int(shares[1]) < 50  # what is near an image has a counterpart
+    picture = opened.picture()
+    for middle in (200, 600):  # of the shapes, whose right half is grey
+        left, right = (
+            picture[250:350, middle - 90 : middle - 50],
+            picture[250:350, middle + 80 : middle + 120],
+        )
+        assert np.ptp(right, axis=2).max() < 12
+        assert np.ptp(left, axis=2).max() > 50
+    assert opened.complaints == []
+
+
 def test_what_has_the_focus_is_seen(browser, saved):
     opened = Opened(browser, saved, viewport={"width": 1070, "height": 700})
     tab = opened.tab

@@ -6,10 +6,10 @@ from scipy.spatial.transform import Rotation
 from esd.common import InputError
 from esd.matching.confidence import Judgement
 from esd.matching.correspondence import Correspondence
-from esd.mesh.geometry import surface_area
+from esd.mesh.geometry import surface_area, vertex_areas
 from esd.mesh.mesh import Mesh
 from esd.mesh.shapes import grid, icosphere, torus
-from esd.viewing.scene import scene
+from esd.viewing.scene import mean_error, scene
 
 
 def identity(mesh: Mesh, **changes) -> Correspondence:
@@ -78,7 +78,11 @@ def test_vertices_without_a_counterpart_are_counted_and_have_no_values(blob):
     index[::4] = -1
     distance = np.where(index < 0, np.inf, 0.5)
     shown = scene(blob, blob, identity(blob, target_index=index, distance=distance), model="m")
-    assert ("No counterpart", "25% (grey)") in shown.meta["statistics"]
+    # shares of the area; target vertices near images have a counterpart
+    areas = vertex_areas(blob)
+    there = areas[shown.arrays["comes_from"] < 0].sum() / areas.sum()
+    expected = [areas[::4].sum() / areas.sum(), there]
+    np.testing.assert_allclose(shown.meta["lacking"], expected, rtol=1e-9)
     assert ("Model", "m") in shown.meta["statistics"]
     assert np.isnan(shown.arrays["distance"][::4]).all()
     comes_from = shown.arrays["comes_from"]
@@ -109,6 +113,16 @@ def test_the_worst_places_are_apart_and_worst_first(blob):
     by_error = scene(blob, blob, identity(blob), error=error).meta["places"]
     assert by_error[0]["field"] == "error"
     assert by_error[0]["value"] == pytest.approx(0.9, abs=1e-6)
+
+
+def test_the_mean_error_is_by_area_and_of_what_is_known(blob):
+    error = np.full(len(blob.vertices), np.nan)
+    assert mean_error(blob, error) is None
+    error[3:5] = 0.1, 0.3
+    a, b = vertex_areas(blob)[3:5]
+    assert mean_error(blob, error) == pytest.approx((0.1 * a + 0.3 * b) / (a + b), rel=1e-6)
+    shown = scene(blob, blob, identity(blob), error=error)
+    assert dict(shown.meta["statistics"])["Mean error"].endswith("% of √area")
 
 
 def test_the_verdict_is_the_map_s_own_or_follows_from_the_confidence(blob):

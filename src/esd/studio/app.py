@@ -6,11 +6,12 @@ import asyncio
 import base64
 import hashlib
 import json
+import shutil
 import tempfile
 import time
-from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager
-from dataclasses import asdict
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import asynccontextmanager, contextmanager
+from dataclasses import asdict, replace
 from importlib import resources
 from pathlib import Path
 from string import Template
@@ -26,29 +27,34 @@ from starlette.responses import FileResponse, HTMLResponse, JSONResponse, Respon
 from starlette.routing import Route
 from starlette.types import ASGIApp
 
-from esd.common import InputError
+from esd.common import InputError, whole_file
+from esd.datasets.folder import read_vts
 from esd.learning.model import ALIASES, bundled_models
 from esd.matching.correspondence import MAP_SUFFIXES, Correspondence, load_map, save_map
 from esd.matching.match import Mirror
+from esd.mesh.io.fields import FIELD_SUFFIXES, read_labels, write_labels
 from esd.mesh.io.landmarks import LANDMARK_FORMATS, Landmarks, read_landmarks, write_landmarks
-from esd.mesh.io.meshes import FORMATS, WRITTEN_FORMATS, write_mesh
+from esd.mesh.io.meshes import FORMATS, WRITTEN_FORMATS, read_arrays, write_mesh
 from esd.mesh.mesh import Mesh
 from esd.mesh.repair.repair import usable_part
 from esd.studio.guard import Guard
 from esd.studio.jobs import Job, Jobs
+from esd.studio.looks import write_carried_look
 from esd.studio.project import Project, ProjectShape, check_mesh_name
-from esd.studio.worker import Examine, Match, Repair
+from esd.studio.worker import Carry, Examine, Match, Measure, Repair, as_bytes, judgement_of
 from esd.viewing.page import MODULES, part, view
+from esd.viewing.scene import AXES, Scene
 
 LARGEST_MESH = 512 * 2**20
+LARGEST_TABLE = 64 * 2**20
 LARGEST_OTHER = 4 * 2**20
-"""Bytes of what is sent to the studio."""
+"""Bytes of what is sent to the studio: meshes, values for each vertex, and all else."""
 
 MIRRORS = get_args(Mirror)
 DEFAULTS = {"model": "default", "mirror": "auto"}
 """What is chosen in a new project."""
 
-_OWN = ("studio.js", "landmarks.js", "gallery.js", "server.js", "studio.css")
+_OWN = ("studio.js", "landmarks.js", "transfer.js", "gallery.js", "server.js", "studio.css")
 _KINDS = {".js": "text/javascript", ".css": "text/css"}
 _PATIENCE = 20.0  # seconds after which an unchanged state is sent all the same
 _GLANCE = 0.05  # seconds between two looks at the state
@@ -102,18 +108,65 @@ class Studio:
         if landmarks and len(set(shapes[0].names) & set(shapes[1].names)) < 3:
             raise InputError("Three landmarks or more must be on both shapes.")
         chosen = self._settings()
-        task = Match(
-            self.project.path(shapes[0]),
-            self.project.path(shapes[1]),
-            (shapes[0].name, shapes[1].name),
-            self.project.map_path(source, target),
-            self.project.map_path(source, target, ".json"),
-            self.project.view_path(source, target),
-            chosen["model"],
-            chosen["mirror"],
-            (shapes[0].landmarks(), shapes[1].landmarks()) if landmarks else None,
-        )
+        task = self._match(*shapes, chosen["model"], chosen["mirror"])
+        if landmarks:
+            # whether the source is a mirror image was found out when the map was not wrong
+            settled = self._figures(source, target).get("verdict") in ("good", "doubtful")
+            if settled and chosen["mirror"] == "auto":
+                before = self._figures(source, target)["judgement"]["is_mirrored"]
+                task = replace(task, mirror="yes" if before else "no")
+            task = replace(task, landmarks=(shapes[0].landmarks(), shapes[1].landmarks()))
         return self.jobs.submit(f"Match {shapes[0].name} to {shapes[1].name}", task)
+
+    def _match(self, source: ProjectShape, target: ProjectShape, model: str, mirror: str) -> Match:
+        return Match(
+            self.project.path(source),
+            self.project.path(target),
+            (source.name, target.name),
+            self.project.map_path(source.number, target.number),
+            self.project.map_path(source.number, target.number, ".json"),
+            self.project.view_path(source.number, target.number),
+            model,
+            mirror,
+        )
+
+    def _figures(self, source: int, target: int) -> dict[str, Any]:
+        """The figures of the map of a pair; none if there is no map."""
+        for figures in self.project.maps():
+            if (figures["source"], figures["target"]) == (source, target):
+                return figures
+        return {}
+
+    def measure(self, source: int, target: int) -> Job | None:
+        """Have the error of a map measured, if the truth is known and there is a map."""
+        truth = self.project.truth_path(source, target)
+        points = self.project.points_path(source), self.project.points_path(target)
+        is_known = truth.is_file() or all(path.is_file() for path in points)
+        figures = self._figures(source, target)
+        if not is_known or not figures:
+            return None
+        shapes = self.project.shape(source), self.project.shape(target)
+        found = self._match(*shapes, figures["model"], figures["mirror"])
+        task = Measure(found, truth, None) if truth.is_file() else Measure(found, None, points)
+        return self.jobs.submit(f"Measure {shapes[0].name} to {shapes[1].name}", task)
+
+    def carry(self, source: ProjectShape, target: ProjectShape) -> Job | None:
+        """Have the labels and the texture or colours of the source carried; None if it has none."""
+        numbers = source.number, target.number
+        task = Carry(
+            self.project.path(source), self.project.path(target), self.project.map_path(*numbers)
+        )
+        if source.labels:
+            labels = (
+                self.project.labels_path(source.number),
+                self.project.labels_path(target.number),
+            )
+            task = replace(task, labels=labels)
+        if source.look:
+            task = replace(task, look=(source.look, self.project.carried_path(*numbers)))
+        if task.labels is None and task.look is None:
+            return None
+        return self.jobs.submit(f"Carry from {source.name} to {target.name}", task)
 
     def _ended(self, job: Job, result: dict[str, Any] | None) -> None:
         """Keep what a job found out; a shape that cannot be used is removed."""
@@ -131,6 +184,10 @@ class Studio:
             )
             stem = name.split(".")[0] or "mesh"
             self.add_file(task.output, f"{stem}-repaired{task.output.suffix}")
+        elif isinstance(task, Match) and result is not None:
+            self.measure(*(int(number) for number in task.map.stem.split("-")))
+        elif isinstance(task, Carry) and result is not None and task.labels is not None:
+            self.project.given(int(task.labels[1].stem), "labels")
         self.jobs.touch()
 
     def state(self) -> dict[str, Any]:
@@ -210,13 +267,8 @@ class Studio:
         return self._changed()
 
     def _read_landmarks(self, shape: ProjectShape, suffix: str, content: bytes) -> Landmarks:
-        with tempfile.TemporaryDirectory(prefix="esd-") as folder:
-            path = Path(folder) / f"landmarks{suffix}"
-            path.write_bytes(content)
-            try:
-                return read_landmarks(path, self._mesh(shape))
-            except InputError as error:
-                raise InputError(str(error).replace(str(path), path.name)) from error
+        with _as_file(content, f"landmarks{suffix}") as path:
+            return read_landmarks(path, self._mesh(shape))
 
     async def save_landmarks(self, request: Request) -> Response:
         """The landmarks of a shape as a file."""
@@ -241,6 +293,102 @@ class Studio:
             if index[place] >= 0:
                 places.setdefault(name, int(index[place]))
         self.project.set_landmarks(target.number, list(places), list(places.values()))
+
+    async def carry_data(self, request: Request) -> Response:
+        """Carry landmarks, labels and a texture or colours from the source to the target."""
+        source, target = self._pair(request)
+        await run_in_threadpool(self._carry, source, target)
+        job = self.carry(source, target)
+        self.jobs.touch()
+        return JSONResponse({"job": job.number if job else None}, 202)
+
+    async def set_up(self, request: Request) -> Response:
+        """Keep which axis of a shape points up."""
+        axis = (await _json(request)).get("up")
+        if axis not in AXES:
+            raise InputError(f"Expected one of {', '.join(AXES)}.")
+        await run_in_threadpool(self.project.set_up, request.path_params["number"], axis)
+        return self._changed()
+
+    async def load_labels(self, request: Request) -> Response:
+        """Replace the labels of the vertices or faces of a shape by those in a file."""
+        suffix = _suffix(request.query_params.get("name", ""), FIELD_SUFFIXES)
+        shape = self.project.shape(request.path_params["number"])
+        content = await _body(request, LARGEST_TABLE)
+        await run_in_threadpool(self._load_labels, shape, suffix, content)
+        return self._changed()
+
+    def _load_labels(self, shape: ProjectShape, suffix: str, content: bytes) -> None:
+        with _as_file(content, f"labels{suffix}") as path:
+            labels, names = read_labels(path)
+        if len(labels) not in (shape.vertices, shape.faces):
+            raise InputError(
+                f"Expected a label for each of {shape.vertices} vertices or {shape.faces} faces; "
+                f"got {len(labels)}."
+            )
+        write_labels(labels, self.project.labels_path(shape.number), names)
+        self.project.given(shape.number, "labels")
+
+    async def save_labels(self, request: Request) -> Response:
+        """The labels of a shape as a file."""
+        shape = self.project.shape(request.path_params["number"])
+        path = self.project.labels_path(shape.number)
+        if not path.is_file():
+            raise HTTPException(404, "This shape has no labels.")
+        name = f"{shape.name.split('.')[0]}-labels.txt"
+        return await self._written(name, lambda copy: shutil.copyfile(path, copy))
+
+    async def get_labels(self, request: Request) -> Response:
+        """What the viewer shows of the labels of a shape."""
+        shape = self.project.shape(request.path_params["number"])
+        content = await run_in_threadpool(self._shown_labels, shape)
+        return Response(content, media_type="application/octet-stream")
+
+    def _shown_labels(self, shape: ProjectShape) -> bytes:
+        path = self.project.labels_path(shape.number)
+        if not path.is_file():
+            raise HTTPException(404, "This shape has no labels.")
+        labels, names = read_labels(path)
+        if len(labels) != shape.vertices:  # of faces: each vertex has that of one of its own
+            of_faces, labels = labels, np.full(shape.vertices or 0, -1)
+            labels[read_arrays(self.project.path(shape))[1]] = of_faces[:, None]
+        return as_bytes(Scene({"names": names}, {"labels": labels.astype("<i4")}))
+
+    async def load_points(self, request: Request) -> Response:
+        """Take the vertices of a shape at the points of a template, by which maps are measured."""
+        _suffix(request.query_params.get("name", ""), (".vts",))
+        shape = self.project.shape(request.path_params["number"])
+        content = await _body(request, LARGEST_TABLE)
+        await run_in_threadpool(self._load_points, shape, content)
+        return self._changed()
+
+    def _load_points(self, shape: ProjectShape, content: bytes) -> None:
+        with _as_file(content, "points.vts") as path:
+            points = read_vts(path)
+        if len(points) == 0 or points.max() >= (shape.vertices or 0):
+            raise InputError(f"Points are vertices from 1 to {shape.vertices}, one a line.")
+        with whole_file(self.project.points_path(shape.number)) as temporary:
+            temporary.write_bytes(content)
+        self.project.given(shape.number, "points")
+        for figures in self.project.maps():
+            if shape.number in (figures["source"], figures["target"]):
+                self.measure(figures["source"], figures["target"])
+
+    async def load_truth(self, request: Request) -> Response:
+        """Take the true map of a pair, and have the error of its map measured."""
+        source, target = self._pair(request)
+        suffix = _suffix(request.query_params.get("name", ""), MAP_SUFFIXES)
+        content = await _body(request, LARGEST_TABLE)
+        await run_in_threadpool(self._load_truth, source, target, suffix, content)
+        return self._changed()
+
+    def _load_truth(
+        self, source: ProjectShape, target: ProjectShape, suffix: str, content: bytes
+    ) -> None:
+        with _as_file(content, f"truth{suffix}") as path:
+            truth = load_map(path, source_count=source.vertices, target_count=target.vertices)
+        save_map(truth, self.project.truth_path(source.number, target.number))
+        self.measure(source.number, target.number)
 
     async def start_match(self, request: Request) -> Response:
         """Have a pair matched."""
@@ -272,7 +420,7 @@ class Studio:
         return _file(self.project.view_path(source.number, target.number))
 
     async def export(self, request: Request) -> Response:
-        """A map, the source in the shape of the target, or a page, as a file."""
+        """A map, the source in the shape of the target, a page, or the target with the texture."""
         source, target = self._pair(request)
         kind = request.path_params["kind"]
         wanted = request.query_params.get("format", "")
@@ -287,12 +435,26 @@ class Studio:
             return await self._written(
                 f"{stem}{suffix}", lambda path: write_mesh(self._image(source, target), path)
             )
+        if kind == "look":
+            return await self._written(
+                f"{stem}.glb",
+                lambda path: write_carried_look(
+                    self.project.path(source),
+                    self._mesh(target),
+                    self._map(source, target),
+                    source.look,
+                    path,
+                ),
+            )
+        if kind != "page":
+            raise HTTPException(404, "There is nothing of that kind.")
         return await self._written(
             f"{stem}.html", lambda path: self._write_page(source, target, path)
         )
 
     def _map(self, source: ProjectShape, target: ProjectShape) -> Correspondence:
-        return load_map(self.project.map_path(source.number, target.number))
+        found = load_map(self.project.map_path(source.number, target.number))
+        return replace(found, judgement=judgement_of(self._figures(source.number, target.number)))
 
     def _mesh(self, shape: ProjectShape) -> Mesh:
         return usable_part(self.project.path(shape))
@@ -307,18 +469,14 @@ class Studio:
         return Mesh(self._mesh(target).vertices[np.maximum(index, 0)], mesh.faces[whole])
 
     def _write_page(self, source: ProjectShape, target: ProjectShape, path: Path) -> None:
-        figures = next(
-            figures
-            for figures in self.project.maps()
-            if (figures["source"], figures["target"]) == (source.number, target.number)
-        )
         view(
             self._mesh(source),
             self._mesh(target),
             self._map(source, target),
             source_name=source.name,
             target_name=target.name,
-            model=figures["model"],
+            model=self._figures(source.number, target.number)["model"],
+            up=source.up or None,
         ).save(path)
 
     def _pair(self, request: Request) -> tuple[ProjectShape, ProjectShape]:
@@ -329,7 +487,7 @@ class Studio:
             raise HTTPException(404, "These shapes have not been matched yet.")
         return source, target
 
-    async def _written(self, name: str, write: Callable[[Path], None]) -> Response:
+    async def _written(self, name: str, write: Callable[[Path], Any]) -> Response:
         """What a function writes to a file, to be saved under a name."""
 
         def content() -> bytes:
@@ -381,8 +539,15 @@ def create_app(studio: Studio, *, token: str, port: int) -> ASGIApp:
         Route("/shapes/{number:int}/landmarks", studio.set_landmarks, methods=["PUT"]),
         Route("/shapes/{number:int}/landmarks", studio.load_landmarks, methods=["POST"]),
         Route("/matches", studio.start_match, methods=["POST"]),
+        Route("/shapes/{number:int}/up", studio.set_up, methods=["PUT"]),
+        Route("/shapes/{number:int}/labels", studio.save_labels),
+        Route("/shapes/{number:int}/labels", studio.load_labels, methods=["POST"]),
+        Route("/shapes/{number:int}/labels/view", studio.get_labels),
+        Route("/shapes/{number:int}/points", studio.load_points, methods=["POST"]),
         Route(f"{pair}/view", studio.get_map),
         Route(f"{pair}/landmarks", studio.carry_landmarks, methods=["POST"]),
+        Route(f"{pair}/carry", studio.carry_data, methods=["POST"]),
+        Route(f"{pair}/truth", studio.load_truth, methods=["POST"]),
         Route(pair + "/{kind:str}", studio.export),
         Route("/jobs/{number:int}", studio.cancel_job, methods=["DELETE"]),
     ]
@@ -449,6 +614,18 @@ def _ending(name: str) -> str:
         if name.endswith(suffix):
             return suffix
     return Path(name).suffix
+
+
+@contextmanager
+def _as_file(content: bytes, name: str) -> Iterator[Path]:
+    """A file with some content, whose errors name it without its folder."""
+    with tempfile.TemporaryDirectory(prefix="esd-") as folder:
+        path = Path(folder) / name
+        path.write_bytes(content)
+        try:
+            yield path
+        except InputError as error:
+            raise InputError(str(error).replace(str(path), path.name)) from error
 
 
 def _suffix(name: str, known: Any) -> str:

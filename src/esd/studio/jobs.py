@@ -150,7 +150,10 @@ class Jobs:
                 if self._closed:
                     return
                 ended = self._jobs[job.number]
-            self._on_end(ended, result)
+            try:
+                self._on_end(ended, result)
+            except InputError as error:  # such as a project that is full
+                self._update(job, state="failed", error=str(error))
             self.touch()
 
     def _taken(self) -> Job | None:

@@ -7,13 +7,14 @@ import re
 import threading
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from esd.common import InputError, whole_file
 from esd.mesh.io.landmarks import Landmarks
 from esd.mesh.io.meshes import FORMATS
+from esd.studio.looks import Kind
 
 _VERSION = 1
 _MOST_SHAPES = 200
@@ -40,6 +41,13 @@ class ProjectShape:
         vertices where it is.
     names, places
         Of its landmarks: names and vertices.
+    up
+        The axis that points up, as the user chose it; empty until then.
+    look
+        What its file colours it by: `texture`, `colours` of its vertices, or nothing.
+    labels, points
+        How many times the labels of its vertices or faces, and the vertices at the points of a
+        template, by which maps are measured, were given; 0 for never.
     """
 
     number: int
@@ -50,6 +58,10 @@ class ProjectShape:
     findings: tuple[dict[str, Any], ...] = ()
     names: tuple[str, ...] = ()
     places: tuple[int, ...] = ()
+    up: str = ""
+    look: Kind = ""
+    labels: int = 0
+    points: int = 0
 
     def landmarks(self) -> Landmarks:
         """Its landmarks."""
@@ -60,8 +72,10 @@ class Project:
     """A project folder. Its methods may be called from several threads at once.
 
     `project.json` lists the shapes, with their landmarks; `meshes/` holds them as they were given,
-    `maps/` a `.csv` file and a `.json` file of figures for each matched pair. What `views/` holds
-    is computed from these.
+    `maps/` a `.csv` file and a `.json` file of figures for each matched pair, `labels/` and
+    `points/` a file for each shape that has them, `truth/` the true map of a pair where it is
+    known, and `carried/` shapes with the texture of another. What `views/` holds is computed from
+    these.
 
     Raises
     ------
@@ -163,19 +177,29 @@ class Project:
             del self._shapes[number]
             self._write()
             self.path(shape).unlink(missing_ok=True)
-            for folder in ("maps", "views"):
+            for folder in ("maps", "views", "labels", "points", "truth"):
                 for path in (self.folder / folder).glob("*"):
                     if str(number) in path.stem.split("-"):
                         path.unlink(missing_ok=True)
 
     def examined(
-        self, number: int, vertices: int, faces: int, findings: list[dict[str, Any]]
+        self, number: int, vertices: int, faces: int, findings: list[dict[str, Any]], look: str
     ) -> None:
         """Keep what was found out about a shape."""
+        self._change(number, vertices=vertices, faces=faces, findings=tuple(findings), look=look)
+
+    def set_up(self, number: int, axis: str) -> None:
+        """Keep which axis of a shape points up."""
+        self._change(number, up=axis)
+
+    def given(self, number: int, what: Literal["labels", "points"]) -> None:
+        """Count that the labels or points of a shape were written."""
         with self._lock:
-            self._shapes[number] = replace(
-                self.shape(number), vertices=vertices, faces=faces, findings=tuple(findings)
-            )
+            self._change(number, **{what: getattr(self.shape(number), what) + 1})
+
+    def _change(self, number: int, **changes: Any) -> None:
+        with self._lock:
+            self._shapes[number] = replace(self.shape(number), **changes)
             self._write()
 
     def set_landmarks(self, number: int, names: list[Any], places: list[Any]) -> None:
@@ -204,8 +228,7 @@ class Project:
             for place in places:
                 if not isinstance(place, int) or not 0 <= place < count:
                     raise InputError(f"Landmarks are vertices from 0 to {count - 1}; got {place}.")
-            self._shapes[number] = replace(shape, names=tuple(names), places=tuple(places))
-            self._write()
+            self._change(number, names=tuple(names), places=tuple(places))
 
     def settings(self) -> dict[str, str]:
         """What the user chose last."""
@@ -225,6 +248,25 @@ class Project:
     def view_path(self, *numbers: int) -> Path:
         """Where that is which the browser shows of a shape, or of a pair."""
         return self.folder / "views" / ("-".join(map(str, numbers)) + ".bin")
+
+    def labels_path(self, number: int) -> Path:
+        """Where the labels of a shape are, a word or number a line."""
+        return self.folder / "labels" / f"{number}.txt"
+
+    def points_path(self, number: int) -> Path:
+        """Where the vertices of a shape at the points of a template are, from 1."""
+        return self.folder / "points" / f"{number}.vts"
+
+    def truth_path(self, source: int, target: int) -> Path:
+        """Where the true map of a pair is."""
+        return self.folder / "truth" / f"{source}-{target}.csv"
+
+    def carried_path(self, source: int, target: int) -> Path:
+        """Where the target with the texture of the source is."""
+        stems = (
+            self.shape(number).file.split("/")[-1].split(".")[0] for number in (target, source)
+        )
+        return self.folder / "carried" / ("-by-".join(stems) + ".glb")
 
     def maps(self) -> list[dict[str, Any]]:
         """The figures of all maps, those of the lowest expected accuracy first."""

@@ -53,7 +53,6 @@ def serve(
         check_mesh_name(shape.name)
         if not shape.is_file():
             raise InputError(f"There is no file '{shape}'.")
-    project = Project(folder)
     listener = socket.socket()
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
@@ -63,6 +62,11 @@ def serve(
         raise InputError(
             f"Port {port} cannot be used: {error.strerror}; give another one, or none."
         ) from error
+    try:
+        project = Project(folder)
+    except InputError:
+        listener.close()
+        raise
     port = listener.getsockname()[1]
     token = secrets.token_urlsafe(24)
     studio = Studio(project)

@@ -8,27 +8,42 @@ import signal
 import struct
 from collections import OrderedDict
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from esd.common import InputError, IntArray, whole_file
+from esd.common import FloatArray, InputError, IntArray, whole_file
+from esd.datasets.folder import read_vts
+from esd.evaluation.errors import true_map, vertex_errors
 from esd.learning.model import Model, load_model
-from esd.matching.correspondence import save_map
+from esd.matching.along import transfer
+from esd.matching.confidence import Judgement
+from esd.matching.correspondence import Correspondence, load_map, save_map
 from esd.matching.features import Features
 from esd.matching.landmarks import paired_landmarks
 from esd.matching.match import match_features, prepared, working_features
 from esd.mesh.geometry import surface_area
+from esd.mesh.io.fields import read_labels, write_labels
 from esd.mesh.io.landmarks import Landmarks
 from esd.mesh.io.meshes import read_arrays, write_mesh
 from esd.mesh.mesh import Mesh
 from esd.mesh.repair.findings import Finding
 from esd.mesh.repair.repair import Repaired, repair, usable_part
 from esd.spectral.cache import default_cache
-from esd.viewing.scene import PALETTE, Scene, default_up, of_unit_area, scene, shape_arrays
+from esd.studio.looks import Kind, look, write_carried_look
+from esd.viewing.scene import (
+    PALETTE,
+    Scene,
+    default_up,
+    mean_error,
+    of_unit_area,
+    scene,
+    shape_arrays,
+)
 
 _MOST_FEATURES = 12  # shapes whose features are held
 
@@ -68,7 +83,30 @@ class Match:
     landmarks: tuple[Landmarks, Landmarks] | None = None
 
 
-Task = Examine | Repair | Match
+@dataclass(frozen=True, slots=True)
+class Measure:
+    """Measure a map that was found by a true one, or by the points of a template on both meshes.
+
+    What the browser shows is written anew, with the error.
+    """
+
+    match: Match
+    truth: Path | None
+    points: tuple[Path, Path] | None
+
+
+@dataclass(frozen=True, slots=True)
+class Carry:
+    """Carry labels, and a texture or colours, from the source of a map to its target."""
+
+    source: Path
+    target: Path
+    map: Path
+    labels: tuple[Path, Path] | None = None
+    look: tuple[Kind, Path] | None = None
+
+
+Task = Examine | Repair | Match | Measure | Carry
 
 
 @dataclass(slots=True)
@@ -79,6 +117,7 @@ class _Memory:
     drawn: OrderedDict[Path, Mesh] = field(default_factory=OrderedDict)
     shapes: OrderedDict[Path, Repaired] = field(default_factory=OrderedDict)
     features: OrderedDict[tuple[Path, str], Features] = field(default_factory=OrderedDict)
+    maps: OrderedDict[Path, Correspondence] = field(default_factory=OrderedDict)
 
 
 def work(tasks: Connection, first_model: str) -> None:
@@ -119,6 +158,10 @@ def done(task: Task, memory: _Memory, report: Reporter) -> dict[str, Any]:
         return _examined(task, memory, report)
     if isinstance(task, Repair):
         return _repaired(task, report)
+    if isinstance(task, Measure):
+        return _measured(task, memory, report)
+    if isinstance(task, Carry):
+        return _carried(task, memory, report)
     return _matched(task, memory, report)
 
 
@@ -130,13 +173,14 @@ def _examined(task: Examine, memory: _Memory, report: Reporter) -> dict[str, Any
     drawable = memory.drawn[task.path] = usable_part((vertices, faces))
     if not surface_area(drawable) > 0:
         raise InputError("Nothing can be drawn: its faces have no area.")
-    _write_view(shape_scene(drawable, task.name), task.view)
+    kind, colours = look(task.path)
+    _write_view(shape_scene(drawable, task.name, colours), task.view)
     report("Looking for defects")
     repaired = _shape(memory, task.path)
     marked = [_as_dict(finding, drawable) for finding in repaired.diagnosis.findings]
     report("Computing spectrum and descriptors")
     _features(memory, task.path, task.model)
-    return {"vertices": len(vertices), "faces": len(faces), "findings": marked}
+    return {"vertices": len(vertices), "faces": len(faces), "findings": marked, "look": kind}
 
 
 def _as_dict(finding: Finding, mesh: Mesh) -> dict[str, Any]:
@@ -188,33 +232,88 @@ def _matched(task: Match, memory: _Memory, report: Reporter) -> dict[str, Any]:
     )
     report("Writing")
     judged = found.judgement
-    drawn = [_drawn(memory, path) for path in (task.source, task.target)]
     figures: dict[str, Any] = {
         "model": model.name,
         "mirror": task.mirror,
         "verdict": judged.verdict if judged else None,
-        "advice": judged.advice if judged else "",
         "expected_accuracy": judged.expected_accuracy if judged else None,
-        "coverage": found.coverage(len(drawn[1].vertices)),
-        "matched": int(found.is_matched().sum()),
         "landmarks": list(names),
         "contradicted": [names[i] for i in judged.contradicted] if judged else [],
-        "mirrored": judged.is_mirrored if judged else False,
+        "judgement": asdict(judged) if judged else None,
     }
-    shown = scene(
-        drawn[0],
-        drawn[1],
-        found,
-        source_name=task.names[0],
-        target_name=task.names[1],
-        model=model.name,
-    )
+    memory.maps[task.map] = found
     task.map.parent.mkdir(parents=True, exist_ok=True)
     save_map(found, task.map)
+    _write_found(task, memory, figures)
+    return figures
+
+
+def _measured(task: Measure, memory: _Memory, report: Reporter) -> dict[str, Any]:
+    report("Measuring geodesic errors")
+    match = task.match
+    found = _found(memory, match)
+    source, target = (_drawn(memory, path) for path in (match.source, match.target))
+    counts = {"source_count": len(source.vertices), "target_count": len(target.vertices)}
+    if task.truth is not None:
+        truth = load_map(task.truth, **counts).target_index
+    else:
+        assert task.points is not None
+        here, there = (read_vts(path) for path in task.points)
+        truth = true_map(here, there, counts["source_count"])
+    error = vertex_errors(target, found.target_index, truth)
+    figures = json.loads(match.figures.read_text(encoding="utf-8"))
+    figures["mean_error"] = mean_error(source, error)
+    _write_found(match, memory, figures, error)
+    return figures
+
+
+def _carried(task: Carry, memory: _Memory, report: Reporter) -> dict[str, Any]:
+    report("Carrying")
+    match = load_map(task.map)
+    if task.labels is not None:
+        labels, names = read_labels(task.labels[0])
+        carried = transfer(labels, task.source, task.target, match, kind="labels")
+        write_labels(carried, task.labels[1], names)
+    if task.look is not None:
+        kind, path = task.look
+        write_carried_look(task.source, _drawn(memory, task.target), match, kind, path)
+    return {}
+
+
+def judgement_of(figures: dict[str, Any]) -> Judgement | None:
+    """The judgement of a map among its figures, which files of maps do not hold."""
+    kept = figures.get("judgement")
+    if kept is None:
+        return None
+    return Judgement(**{**kept, "contradicted": tuple(kept["contradicted"])})
+
+
+def _found(memory: _Memory, task: Match) -> Correspondence:
+    """The map that a task found, from its files if it is not at hand."""
+    if task.map not in memory.maps:
+        figures = json.loads(task.figures.read_text(encoding="utf-8"))
+        memory.maps[task.map] = replace(load_map(task.map), judgement=judgement_of(figures))
+    found: Correspondence = _latest(memory.maps, task.map)
+    return found
+
+
+def _write_found(
+    task: Match, memory: _Memory, figures: dict[str, Any], error: FloatArray | None = None
+) -> None:
+    """Write what the browser shows of a map that was found, and then its figures."""
+    source, target = (_drawn(memory, path) for path in (task.source, task.target))
+    shown = scene(
+        source,
+        target,
+        _found(memory, task),
+        error=error,
+        source_name=task.names[0],
+        target_name=task.names[1],
+        model=figures["model"],
+    )
     _write_view(shown, task.view)
     with whole_file(task.figures) as temporary:
         temporary.write_text(json.dumps(figures, indent=1), encoding="utf-8")
-    return figures
 
 
 def _model(memory: _Memory, name: str) -> Model:
@@ -251,8 +350,8 @@ def _latest(kept: OrderedDict[Any, Any], key: Any) -> Any:
     return kept[key]
 
 
-def shape_scene(mesh: Mesh, name: str) -> Scene:
-    """What the viewer shows of a shape alone."""
+def shape_scene(mesh: Mesh, name: str, colours: npt.NDArray[np.uint8]) -> Scene:
+    """What the viewer shows of a shape alone, with colours of its vertices (n, 3) if it has any."""
     mesh_of_unit_area = of_unit_area(mesh)
     meta = {
         "source": name,
@@ -262,13 +361,20 @@ def shape_scene(mesh: Mesh, name: str) -> Scene:
         "fields": [],
         **PALETTE,
     }
-    return Scene(meta, shape_arrays("source", mesh_of_unit_area))
+    arrays = shape_arrays("source", mesh_of_unit_area)
+    if len(colours) == len(mesh.vertices):
+        arrays["texture"] = colours
+    return Scene(meta, arrays)
 
 
 def _write_view(shown: Scene, path: Path) -> None:
-    """Write a scene: the length of the JSON text, the text, and the arrays."""
+    with whole_file(path) as temporary:
+        temporary.write_bytes(as_bytes(shown))
+
+
+def as_bytes(shown: Scene) -> bytes:
+    """A scene for the browser: the length of the JSON text, the text, and the arrays."""
     meta, content = shown.packed()
     head = json.dumps(meta).encode()
     head += b" " * (-len(head) % 4)  # so that arrays are aligned
-    with whole_file(path) as temporary:
-        temporary.write_bytes(struct.pack("<I", len(head)) + head + content)
+    return struct.pack("<I", len(head)) + head + content

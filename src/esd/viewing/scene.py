@@ -15,7 +15,7 @@ from esd.matching.correspondence import Correspondence
 from esd.matching.transfer import aligned_image, aligning_rotation
 from esd.mesh.convert import MeshLike, as_mesh
 from esd.mesh.geodesics import geodesic_graph
-from esd.mesh.geometry import face_areas, is_referenced, surface_area, vertex_areas
+from esd.mesh.geometry import edge_lengths, face_areas, is_referenced, surface_area, vertex_areas
 from esd.mesh.mesh import Mesh
 from esd.mesh.sampling import spread
 from esd.viewing.colours import UNMATCHED, VIRIDIS, position_colours
@@ -28,7 +28,8 @@ _PLACES = 8  # worst places that are listed at most
 _BAD_ERROR, _BAD_CONFIDENCE = 0.05, 0.9  # a place with less error or more confidence is not bad
 _APART = 0.15  # in √area: least distance of two of them
 _NEAR = 0.03  # in √area: values are means over so much around
-_REACH = 0.15  # in √area: target vertices farther from all matches show none
+_REACH = 0.05  # in √area: target vertices farther from all images have no counterpart
+_FEW_EDGES = 2  # nor have those farther than so many edges of a coarse source
 
 Field = dict[str, Any]
 
@@ -97,13 +98,14 @@ def scene(
     values = {name: np.where(np.isfinite(v), v, np.nan) for name, v in values.items()}
     fields = [_field(name, value) for name, value in values.items() if np.isfinite(value).any()]
     colours = np.round(255 * position_colours(target))
+    comes_from = _comes_from(source, target, match)
     arrays: dict[str, npt.NDArray[np.generic]] = {
         **shape_arrays("source", source),
         **shape_arrays("target", target),
         **{field["name"]: values[field["name"]].astype("<f4") for field in fields},
         "image": image.astype("<f4"),
         "map": match.target_index.astype("<i4"),
-        "comes_from": _comes_from(source, target, match).astype("<i4"),
+        "comes_from": comes_from.astype("<i4"),
         "line_order": _spread_matches(source, match).astype("<u4"),
         "target_colours": colours.astype("<u1"),
     }
@@ -115,6 +117,7 @@ def scene(
         "rotation": aligning_rotation(source, target, match).ravel().tolist(),
         **PALETTE,
         "fields": fields,
+        "lacking": [_share(source, ~match.is_matched()), _share(target, comes_from < 0)],
         "verdict": _verdict(judged),
         "statistics": _statistics(source, target, match, values, judged, model),
         "places": _worst_places(source, match, values),
@@ -224,7 +227,8 @@ def _comes_from(source: Mesh, target: Mesh, match: Correspondence) -> IntArray:
     of_image[hit] = usable[first]
     nearest = geodesic_graph(target).nearest_source(hit)
     away = np.linalg.norm(target.vertices - target.vertices[nearest], axis=1)
-    return np.where((nearest >= 0) & (away < _REACH), of_image[nearest], -1)
+    reach = max(_REACH, _FEW_EDGES * float(edge_lengths(source).mean()))
+    return np.where((nearest >= 0) & (away < reach), of_image[nearest], -1)
 
 
 def _spread_matches(source: Mesh, match: Correspondence) -> IntArray:
@@ -257,21 +261,32 @@ def _statistics(
     if judged is not None and judged.candidate:
         found.append(("Candidate", judged.candidate))
     found.append(("Matched", f"{matched.sum():,} of {len(matched):,} vertices"))
-    if (~matched).any():
-        found.append(("No counterpart", f"{(~matched).mean():.0%} (grey)"))
     found.append(("Covers", f"{match.coverage(len(target.vertices)):.0%} of the target's vertices"))
-    weights = vertex_areas(source)
     if judged is not None:
         found.append(("Orientation", f"{judged.orientation:+.2f}"))
         if judged.is_mirrored:
             found.append(("Mirrored", "the source, before it was matched"))
-    if "error" in values and np.isfinite(values["error"]).any():
-        known = np.isfinite(values["error"])
-        mean = np.average(values["error"][known], weights=weights[known] + 1e-12)
-        found.append(("Mean error", f"{100 * mean:.1f} % of √area"))
+    error = mean_error(source, values["error"]) if "error" in values else None
+    if error is not None:
+        found.append(("Mean error", f"{100 * error:.1f} % of √area"))
     for name, mesh in (("Source", source), ("Target", target)):
         found.append((name, f"{len(mesh.vertices):,} vertices, {len(mesh.faces):,} faces"))
     return found
+
+
+def mean_error(source: Mesh, error: FloatArray) -> float | None:
+    """Mean of errors (n,) over the source's area, of those that are finite; None if none is."""
+    known = np.isfinite(error)
+    if not known.any():
+        return None
+    # vertices without a face have no area, and may be all that are known
+    return float(np.average(error[known], weights=vertex_areas(source)[known] + 1e-12))
+
+
+def _share(mesh: Mesh, chosen: BoolArray) -> float:
+    """The share of the area that belongs to some vertices."""
+    areas = vertex_areas(mesh)
+    return float(areas[chosen].sum() / areas.sum())
 
 
 def _worst_places(

@@ -20,14 +20,14 @@ from esd.common import (
     whole_file,
 )
 
-_SUFFIXES = (".npy", ".csv", ".txt")
+FIELD_SUFFIXES = (".npy", ".csv", ".txt")
 
 
 def check_field_path(path: str | os.PathLike[str]) -> Path:
     """The path, if labels or values can be in it; raises an `InputError` otherwise."""
     path = Path(path)
-    if path.suffix.lower() not in _SUFFIXES:
-        raise InputError(f"'{path}': expected a name that ends in {', '.join(_SUFFIXES)}.")
+    if path.suffix.lower() not in FIELD_SUFFIXES:
+        raise InputError(f"'{path}': expected a name that ends in {', '.join(FIELD_SUFFIXES)}.")
     return path
 
 

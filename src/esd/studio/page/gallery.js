@@ -9,9 +9,10 @@ export function drawGallery(list, { maps, shapes }, shown, open) {
       const button = Object.assign(document.createElement("button"), { type: "button" });
       const verdict = document.createElement("b");
       verdict.textContent = map.verdict ?? "not judged";
-      const share = map.expected_accuracy === null ? "" : ` ${Math.round(100 * map.expected_accuracy)} %`;
+      const share = map.expected_accuracy == null ? "" : ` ${Math.round(100 * map.expected_accuracy)} %`;
       button.dataset.verdict = map.verdict ?? "";
-      button.append(`${nameOf(map.source)} → ${nameOf(map.target)} `, verdict, share);
+      const error = map.mean_error == null ? "" : `, error ${(100 * map.mean_error).toFixed(1)} %`;
+      button.append(`${nameOf(map.source)} → ${nameOf(map.target)} `, verdict, share, error);
       button.setAttribute("aria-current", String(map.source === shown.source && map.target === shown.target));
       button.addEventListener("click", () => open(map.source, map.target));
       item.append(button);

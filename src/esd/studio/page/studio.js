@@ -3,6 +3,7 @@ import { drawGallery } from "esd/gallery.js";
 import { createLandmarks } from "esd/landmarks.js";
 import { connectPanel, showFailure } from "esd/panel.js";
 import { ask, askScene, download, droppedFiles, keepingFocus } from "esd/server.js";
+import { connectTransfer } from "esd/transfer.js";
 import { createViewer, hasWebGL2 } from "esd/viewer.js";
 
 const element = (id) => document.getElementById(id);
@@ -36,7 +37,7 @@ let viewer = null;
 let landmarks = null;
 if (hasWebGL2()) {
   viewer = createViewer(stage, {
-    change: () => update(),
+    change: () => { update(); keepUp(); },
     point: (picked) => { element("readout").textContent = picked ? viewer.describe(picked) : ""; },
     pick: (picked) => landmarks.pick(picked),
     drag: (pin, vertex) => landmarks.drag(pin, vertex),
@@ -55,12 +56,27 @@ if (hasWebGL2()) {
 const shapeOf = (number) => state.shapes.find((shape) => shape.number === number);
 const mapOf = ({ source, target }) => state.maps.find((map) => map.source === source && map.target === target);
 
+const drawTransfer = connectTransfer(
+  () => ({ source: shapeOf(pair.source), target: shapeOf(pair.target), map: mapOf(pair), maps: state.maps }),
+  guarded,
+);
+
+// The axis that the user turns up is kept with the source.
+let keptUp = "";
+const keepUp = guarded(async () => {
+  const { up } = viewer.state;
+  const source = shapeOf(pair.source);
+  if (!shown || up === keptUp || !source) return;
+  keptUp = up;
+  await ask(`shapes/${source.number}/up`, { method: "PUT", json: { up } });
+});
+
 const showPair = guarded(async () => {
   const source = shapeOf(pair.source);
   const target = shapeOf(pair.target);
   const map = mapOf(pair);
   const ready = [source, target].filter((shape) => shape && shape.vertices !== null);
-  const key = map ? `map ${pair.source} ${pair.target} ${map.stamp}` : `shapes ${ready.map(({ number }) => number)}`;
+  const key = map ? `map ${pair.source} ${pair.target} ${map.stamp} ${source.labels}` : `shapes ${ready.map(({ number }) => number)}`;
   empty.hidden = ready.length > 0;
   element("export").hidden = !map;
   landmarks?.show(state.version, ...(ready.length === 2 ? ready : []));
@@ -71,12 +87,28 @@ const showPair = guarded(async () => {
     delete document.documentElement.dataset.shown;
     return;
   }
-  const scene = map ? await askScene(`maps/${pair.source}/${pair.target}/view`) : await bareScene(ready);
+  const scene = map ? await matchedScene(source, target) : await bareScene(ready);
   if (shown !== key) return; // something else is wanted by now
+  scene.meta.up = keptUp = ready[0].up || scene.meta.up;
   viewer.mark({});
   viewer.load(scene, { keepView: true });
   document.documentElement.dataset.shown = key;
 });
+
+// A map, with the labels and the texture of the source.
+async function matchedScene(source, target) {
+  const [scene, labels, own] = await Promise.all([
+    askScene(`maps/${source.number}/${target.number}/view`),
+    source.labels ? askScene(`shapes/${source.number}/labels/view`) : null,
+    source.look ? askScene(`shapes/${source.number}/view`) : null,
+  ]);
+  if (labels) {
+    scene.meta.names = labels.meta.names;
+    scene.arrays.labels = labels.arrays.labels;
+  }
+  if (own?.arrays.texture) scene.arrays.texture = own.arrays.texture;
+  return scene;
+}
 
 // One or two shapes without a map.
 async function bareScene(ready) {
@@ -109,6 +141,7 @@ function draw() {
   redrawn("jobs", drawJobs);
   element("gallery").hidden = state.shapes.length < 3;
   redrawn("maps", () => drawGallery(element("maps"), state, pair, choose));
+  drawTransfer();
   showPair();
 }
 
@@ -278,11 +311,6 @@ listen("match-all", "click", guarded(async () => {
   }
 }));
 listen("carry", "click", guarded(() => ask(`maps/${pair.source}/${pair.target}/landmarks`, { method: "POST" })));
-listen("carry-all", "click", guarded(async () => {
-  const along = state.maps.filter(({ source }) => source === pair.source);
-  if (!along.length) throw new Error("No shape has been matched from this source.");
-  for (const { source, target } of along) await ask(`maps/${source}/${target}/landmarks`, { method: "POST" });
-}));
 for (const kind of ["map", "mesh"]) {
   listen(`export-${kind}`, "click", () => download(`maps/${pair.source}/${pair.target}/${kind}?format=${element(`${kind}-format`).value}`));
 }

@@ -7,6 +7,17 @@ export function ramp(stops, share) {
   return [0, 1, 2].map((k) => stops[low][k] + (at - low) * (stops[low + 1][k] - stops[low][k]));
 }
 
+// A colour of a number, unlike those of the numbers near it: hues a golden angle apart.
+export function distinct(number) {
+  const hue = (number * 137.508) % 360;
+  const light = [0.62, 0.48, 0.76][number % 3];
+  const spread = 0.6 * Math.min(light, 1 - light);
+  return [0, 8, 4].map((k) => {
+    const turn = (k + hue / 30) % 12;
+    return light - spread * Math.max(-1, Math.min(turn - 3, 9 - turn, 1));
+  });
+}
+
 export const css = (colour) => `rgb(${colour.map((x) => Math.round(255 * x)).join()})`;
 
 // Counts of the known values in equal bins; those beyond the ends count at the ends.

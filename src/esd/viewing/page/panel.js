@@ -22,7 +22,8 @@ export function connectPanel(viewer, { keys: more = {} } = {}) {
     if (shown !== scene.meta) {
       shown = scene.meta;
       distribution = null;
-      makeModes(scene.meta);
+      makeModes();
+      makeLegend(scene.meta);
       makeSummary(scene.meta);
       makePlaces(scene.meta);
       element("lines").max = viewer.lineLimit();
@@ -31,7 +32,7 @@ export function connectPanel(viewer, { keys: more = {} } = {}) {
     const field = scene.meta.fields.find(({ name }) => name === state.mode);
     for (const input of element("modes").querySelectorAll("input")) input.checked = input.value === state.mode;
     element("pattern").value = state.pattern;
-    element("pattern-label").hidden = Boolean(field);
+    element("pattern-label").hidden = state.mode !== "colours";
     element("scale").hidden = !field;
     if (field) drawScale(field, scene);
     element("lines").value = state.lines;
@@ -42,16 +43,23 @@ export function connectPanel(viewer, { keys: more = {} } = {}) {
     element("aligned").checked = state.aligned;
   }
 
-  function makeModes(meta) {
-    const choices = [["colours", "Colours"], ...meta.fields.map(({ name, title }) => [name, title])];
+  function makeModes() {
     element("modes").replaceChildren(
       made("legend", "What the colours show"),
-      ...choices.map(([value, title]) => {
+      ...viewer.modes().map(({ name, title }) => {
         const label = made("label");
-        label.append(made("input", undefined, { type: "radio", name: "mode", value }), made("span", title));
+        label.append(made("input", undefined, { type: "radio", name: "mode", value: name }), made("span", title));
         return label;
       }),
     );
+  }
+
+  // What grey means, where there is any.
+  function makeLegend({ lacking = [0, 0], unmatched }) {
+    const text = ["source", "target"].map((side, k) => `${Math.round(100 * lacking[k])} % of the ${side}`);
+    element("legend").hidden = Math.max(...lacking) < 0.005;
+    element("legend").querySelector("span").textContent = `No counterpart: ${text.join(", ")}`;
+    if (unmatched) element("legend").querySelector("i").style.background = css(unmatched);
   }
 
   function makeSummary({ verdict, statistics = [] }) {
@@ -177,7 +185,7 @@ export function connectPanel(viewer, { keys: more = {} } = {}) {
     const arrows = event.key.startsWith("Arrow") && tagName === "INPUT";
     if (event.ctrlKey || event.metaKey || event.altKey || arrows || writes || document.querySelector("dialog[open]")) return;
     const digit = /^[1-9]$/.test(event.key) ? Number(event.key) : 0;
-    const choices = ["colours", ...(shown?.fields ?? []).map(({ name }) => name)];
+    const choices = viewer.modes().map(({ name }) => name);
     const action = digit ? choices[digit - 1] && (() => viewer.setMode(choices[digit - 1])) : keys[event.key.length === 1 ? event.key.toLowerCase() : event.key];
     if (!action) return;
     event.preventDefault();

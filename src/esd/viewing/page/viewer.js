@@ -1,5 +1,5 @@
 // Two shapes on a stage, turned together, with their map: what is drawn and what is pointed at.
-import { css, ramp } from "esd/colours.js";
+import { css, distinct, ramp } from "esd/colours.js";
 import * as shapes from "esd/shape.js";
 
 const UP = { x: [1, 0, 0], "-x": [-1, 0, 0], y: [0, 1, 0], "-y": [0, -1, 0], z: [0, 0, 1], "-z": [0, 0, -1] };
@@ -7,6 +7,8 @@ const EYE = { x: [0, 0, 1], "-x": [0, 0, 1], y: [0, 0, 1], "-y": [0, 0, 1], z: [
 const PLAIN = [0.74, 0.77, 0.81];
 const FAULT = [0.86, 0.15, 0.15];
 const NEAR_PIN = 14; // pixels within which a pin is taken
+
+const OWN = [{ name: "labels", title: "Labels" }, { name: "texture", title: "Texture" }]; // if the source has them
 
 export const AXES = Object.keys(UP);
 
@@ -56,10 +58,10 @@ export function createViewer(stage, on = {}) {
     sourcesOf = state.hasMap ? inverse(arrays.map, shapes.count(target)) : () => [];
     if (state.hasMap) {
       shapes.setPlaces(source, target.positions, arrays.map);
-      shapes.setPlaces(target, target.positions, null);
+      shapes.setPlaces(target, target.positions, arrays.comes_from.map((at, i) => (at < 0 ? -1 : i)));
     }
     state.scales = Object.fromEntries(meta.fields.map((f) => [f.name, [f.low, f.high]]));
-    if (!meta.fields.some((field) => field.name === state.mode)) state.mode = "colours";
+    if (!modes().some(({ name }) => name === state.mode)) state.mode = "colours";
     Object.assign(state, { picked: null, kept: false, morph: 0, lines: Math.min(state.lines, lineLimit()) });
     align();
     paint();
@@ -88,6 +90,11 @@ export function createViewer(stage, on = {}) {
     on.change?.(state);
   }
 
+  // What the colours may show: places on the target, values of the map, and what the source has.
+  function modes() {
+    return [{ name: "colours", title: "Colours" }, ...meta.fields, ...OWN.filter(({ name }) => arrays[name])];
+  }
+
   function fieldOf(mode) {
     return meta.fields.find((field) => field.name === mode);
   }
@@ -97,28 +104,31 @@ export function createViewer(stage, on = {}) {
     for (const shape of [source, target]) {
       const { color } = shape.mesh.geometry.attributes;
       if (!color) continue; // nothing is loaded yet
-      for (let i = 0; i < color.count; i++) color.setXYZ(i, ...(field ? valueColour(field, shape, i) : placeColour(shape, i)));
+      for (let i = 0; i < color.count; i++) color.setXYZ(i, ...colourAt(field, shape, i));
       for (const i of marked[shape.name]) if (i < color.count) color.setXYZ(i, ...FAULT);
       color.needsUpdate = true;
-      const on = state.hasMap && !field;
+      const on = state.hasMap && state.mode === "colours";
       shape.uniforms.pattern.value = on ? shapes.PATTERNS.indexOf(state.pattern) : 0;
     }
     draw();
   }
 
-  function valueColour(field, shape, i) {
-    const at = shape === source ? i : arrays.comes_from[i];
-    const value = at < 0 || (shape === source && arrays.map?.[i] < 0) ? NaN : arrays[field.name][at];
+  function colourAt(field, shape, i) {
+    if (!state.hasMap && !field && !arrays[state.mode]) return PLAIN;
+    const at = shape === source ? i : arrays.comes_from?.[i] ?? -1; // a source vertex
+    const isOwn = shape === source && OWN.some(({ name }) => name === state.mode);
+    if (at < 0 || (!isOwn && arrays.map?.[at] < 0)) return meta.unmatched; // no counterpart
+    if (field) return valueColour(field, at);
+    if (state.mode === "labels") return arrays.labels[at] < 0 ? meta.unmatched : distinct(arrays.labels[at]);
+    const [from, k] = state.mode === "texture" ? [arrays.texture, at] : [arrays.target_colours, shape === source ? arrays.map[i] : i];
+    return [from[3 * k] / 255, from[3 * k + 1] / 255, from[3 * k + 2] / 255];
+  }
+
+  function valueColour(field, at) {
+    const value = arrays[field.name][at];
     if (Number.isNaN(value)) return meta.unmatched;
     const [low, high] = state.scales[field.name];
     return ramp(meta.ramp, (value - low) / (high - low || 1));
-  }
-
-  function placeColour(shape, i) {
-    if (!state.hasMap) return PLAIN;
-    const t = shape === source ? arrays.map[i] : i;
-    if (t < 0) return meta.unmatched;
-    return [0, 1, 2].map((k) => arrays.target_colours[3 * t + k] / 255);
   }
 
   function align() {
@@ -378,12 +388,14 @@ export function createViewer(stage, on = {}) {
       return `${which} → target vertex ${vertex}`;
     }
     const i = sources[0];
+    const label = arrays.labels?.[i] ?? -1;
+    const named = label < 0 ? [] : [`label ${meta.names?.[label] ?? label}`];
     const parts = [`source vertex ${i} → ${targets.length ? `target vertex ${targets[0]}` : "no counterpart"}`];
     for (const field of meta.fields) {
       const value = arrays[field.name][i];
       if (!Number.isNaN(value) && targets.length) parts.push(`${field.title.toLowerCase()} ${valueText(field, value)}`);
     }
-    return parts.join(" · ");
+    return [...parts, ...named].join(" · ");
   }
 
   function valueText(field, value) {
@@ -395,7 +407,7 @@ export function createViewer(stage, on = {}) {
   // Settings
 
   function setMode(mode) {
-    if (mode !== "colours" && !fieldOf(mode)) return;
+    if (!modes().some(({ name }) => name === mode)) return;
     state.mode = mode;
     paint();
     changed();
@@ -508,6 +520,7 @@ export function createViewer(stage, on = {}) {
     resetView: () => { state.up = meta.up; resetView(); changed(); },
     drop: () => { state.kept = false; show(null); },
     turn, nearer, fly, flyTo, pick, pinAt, picture, describe, valueText, draw, lineLimit,
+    modes,
     scene: () => ({ meta, arrays }),
     screenOf: (side, vertex) => {
       const shape = side === "source" ? source : target;
