@@ -70,3 +70,36 @@ def test_what_cannot_be_done_is_refused_before_anything_is(
     assert (tmp_path / "full" / "a.txt").read_text() == "kept"
     assert not (tmp_path / "out" / "scores.csv").exists()
     assert len(list(ellipsoids.iterdir())) == 5
+
+
+def test_a_model_is_trained_once(ellipsoids, tmp_path, monkeypatch):
+    pytest.importorskip("torch", reason="torch is not installed")
+    from esd.cli import atlas as command
+    from esd.datasets.open import open_collection
+    from esd.learning import unsupervised
+    from esd.learning.model import load_model
+    from esd.learning.unsupervised import TeachingProgress
+    from esd.parallel import THIS_PROCESS
+
+    trained = []
+
+    def training(collection, preset, *, on_progress, on_shape, **options):
+        trained.append(collection.name)
+        on_shape()
+        on_progress(TeachingProgress(50, 400, None, None, None))
+        return load_model("default")
+
+    monkeypatch.setattr(unsupervised, "train_unsupervised", training)
+    collection = open_collection(ellipsoids)
+    for _ in range(2):
+        model = command._model(
+            collection, None, tmp_path / "out", THIS_PROCESS, train=True, device="cpu"
+        )
+        assert model.name == "trained"
+    assert trained == ["in"]
+    assert (
+        command._model(
+            collection, None, tmp_path / "out", THIS_PROCESS, train=False, device="cpu"
+        ).name
+        == "oriented"
+    )

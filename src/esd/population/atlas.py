@@ -27,7 +27,7 @@ from esd.mesh.io.landmarks import Landmarks, read_landmarks
 from esd.mesh.io.meshes import read_mesh, write_mesh
 from esd.mesh.mesh import Mesh
 from esd.mesh.repair.repair import usable_part
-from esd.parallel import EVERY_CORE, Workers, outcomes, shared_folder
+from esd.parallel import THIS_PROCESS, Workers, outcomes, shared_folder
 from esd.population.missing import completed, is_present
 from esd.population.procrustes import generalised_procrustes
 from esd.population.quality import ModelQuality, model_quality, outliers
@@ -149,7 +149,7 @@ def atlas(
     vertex_count: int = 10_000,
     folder: str | os.PathLike[str] | None = None,
     renew: bool = False,
-    workers: Workers = EVERY_CORE,
+    workers: Workers = THIS_PROCESS,
     on_shape: Callable[[], None] = lambda: None,
 ) -> Atlas:
     """The atlas of a population of unregistered shapes of one class.

@@ -6,7 +6,7 @@ import json
 import logging
 import os
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -196,16 +196,24 @@ def read_registered(folder: Path, name: str, faces: IntArray) -> npt.NDArray[np.
 
 def model_key(model: Model) -> str:
     """Key of what a model computes: equal for equal weights and descriptors, whatever its name."""
-    layers = [array for layer in model.layers for array in (layer.weight, layer.bias)]
-    return content_key(
-        "model",
-        np.asarray(model.mean),
-        np.asarray(model.deviation),
-        *layers,
-        recipe=model.recipe.to_json(),
-        settings=[model.margin, model.limit, model.unit_length],
-        patches=None if model.patches is None else asdict(model.patches),
-    )
+    arrays: list[npt.NDArray[np.generic]] = []
+    plain: list[object] = []
+
+    def collect(value: object) -> None:
+        if isinstance(value, np.ndarray):
+            arrays.append(value)
+        elif is_dataclass(value):
+            for field in fields(value):
+                collect(getattr(value, field.name))
+        elif isinstance(value, tuple):
+            plain.append(len(value))
+            for each in value:
+                collect(each)
+        else:
+            plain.append(value)
+
+    collect(replace(model, name="", card={}, device=""))
+    return content_key("model", *arrays, plain=plain)
 
 
 def _figures_file(folder: Path, name: str) -> Path:
