@@ -41,7 +41,7 @@ bench: .venv/dev
 fuzz: .venv/dev
 	$(BIN)/pip install --quiet 'atheris>=2.3'
 	mkdir -p fuzz
-	$(BIN)/python tools/fuzz.py -seed=$(SEED) -max_total_time=$(SECONDS) -max_len=5000 -timeout=20 -rss_limit_mb=4096 -artifact_prefix=fuzz/
+	$(BIN)/python tools/fuzz.py -seed=$(SEED) -max_total_time=$(SECONDS) -max_len=12000 -timeout=20 -rss_limit_mb=4096 -artifact_prefix=fuzz/
 
 clean:
 	rm -rf .venv demo dist fuzz site docs/pictures

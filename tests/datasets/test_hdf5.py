@@ -71,3 +71,15 @@ def test_groups_and_packed_data_are_let_through(tmp_path):
         file.create_group("g")
         file.create_dataset("zeros", data=np.zeros(10**6), compression="gzip")
         check_self_contained(file)
+
+
+def test_a_file_whose_index_is_damaged_is_named(tmp_path):
+    path = tmp_path / "a.h5"
+    with h5py.File(path, "w", libver="latest") as file:
+        file["faces"] = np.array([[0, 1, 2], [0, 2, 3]])
+        file[NAME] = np.ones((4, 3, 2), "f4")
+    whole = path.read_bytes()
+    at = whole.rindex(b"OHDR")  # a header of an object, which its checksum guards
+    path.write_bytes(whole[: at + 5] + b"\xff" + whole[at + 6 :])
+    with pytest.raises(InputError, match=r"a.h5' is damaged: .* Get it anew"):
+        dyna_collection(path)

@@ -73,7 +73,7 @@ def test_an_adaptation_that_the_judge_finds_worse_is_dropped(untrained, monkeypa
     monkeypatch.setattr(adapt, "_mean_cost", lambda *_: next(costs))
     found = match(*meshes, adapt=True, **settings)
     assert not found.judgement.adaptation.is_kept
-    assert "gave nothing: the cost went from 1.00 to 2.00" in found.judgement.adaptation.in_a_line()
+    assert "gave nothing: the cost rose from 1.00 to 2.00" in found.judgement.adaptation.in_a_line()
     np.testing.assert_array_equal(found.target_index, plain.target_index)
 
 

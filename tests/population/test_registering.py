@@ -39,7 +39,7 @@ def known_maps(monkeypatch, blob):
             np.where(there, np.arange(count), -1), np.zeros(count), there.astype(float)
         )
 
-    monkeypatch.setattr(registering, "working_features", lambda shape, **_: shape.shape)
+    monkeypatch.setattr(registering, "working_features", lambda repaired, **_: repaired.shape)
     monkeypatch.setattr(registering, "save_features", lambda features, folder: None)
     monkeypatch.setattr(registering, "load_features", lambda folder: None)
     monkeypatch.setattr(registering, "match_features", true)

@@ -14,7 +14,7 @@ import numpy as np
 
 from esd.common import InputError, whole_file
 from esd.datasets.collection import Collection, Shape
-from esd.datasets.hdf5 import check_self_contained
+from esd.datasets.hdf5 import about_damage, check_self_contained
 from esd.datasets.splits import sample_by_subject
 from esd.mesh.mesh import Mesh
 
@@ -155,7 +155,7 @@ def _open(file: Path) -> h5py.File:
 
 
 def _recordings(file: Path) -> list[Recording]:
-    with _open(file) as content:
+    with _open(file) as content, about_damage(file):
         check_self_contained(content)
         if not isinstance(content.get("faces"), h5py.Dataset):
             raise InputError(
@@ -186,7 +186,7 @@ def _recordings(file: Path) -> list[Recording]:
 
 
 def _read_frame(recording: Recording, place: int) -> Mesh:
-    with _open(recording.file) as content:
+    with _open(recording.file) as content, about_damage(recording.file):
         try:
             vertices = content[recording.key][:, :, place].astype(np.float64)
             faces = content["faces"][:].astype(np.int64)

@@ -2,11 +2,40 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
 import h5py
 
-from esd.common import InputError
+from esd.common import InputError, reason
 
 _LARGEST = 2**30  # bytes of a data set; a larger one must be as large in the file
+
+
+@contextmanager
+def about_damage(path: Path) -> Iterator[None]:
+    """Name the file where HDF5 stumbles over what it holds.
+
+    Raises
+    ------
+    InputError
+        In place of the errors that h5py raises, of many kinds, on damaged files.
+    """
+    try:
+        yield
+    except InputError:
+        raise
+    except (
+        OSError,
+        KeyError,
+        IndexError,
+        TypeError,
+        ValueError,
+        RuntimeError,
+        ArithmeticError,
+    ) as error:
+        raise InputError(f"'{path}' is damaged: {reason(error)}. Get it anew.") from error
 
 
 def check_self_contained(file: h5py.File) -> None:

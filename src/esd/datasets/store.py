@@ -186,7 +186,7 @@ def open_store(path: str | os.PathLike[str]) -> Store:
                 variance=_mapped(file["variance"], np.float64, 2),
                 defined=file["defined"][:],
             )
-    except (KeyError, TypeError, ValueError, OSError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, OSError, AttributeError, RuntimeError) as error:
         raise InputError(f"The store '{path}' is damaged; make it anew: {error}.") from error
     count, width = len(store.names), store.recipe.width
     fits = (

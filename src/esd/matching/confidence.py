@@ -65,7 +65,7 @@ class Adaptation:
         if self.is_kept:
             return f"Adapting the model took {self.seconds:.0f} s; the cost fell {costs}."
         return (
-            f"Adapting the model took {self.seconds:.0f} s and gave nothing: the cost went "
+            f"Adapting the model took {self.seconds:.0f} s and gave nothing: the cost rose "
             f"{costs}, so the map is by the model as it was."
         )
 

@@ -41,7 +41,7 @@ class Features:
     vertex_index, original_index : (n,) and (r,)
         The vertex of the shape of each of the n original ones, and back, see
         `esd.mesh.repair.repair.Repaired`. Where the shape is a coarse copy: of the repaired mesh.
-        Vertices of loose pieces have that which stands in for them.
+        Vertices of loose pieces have their `stand_in`.
     filling
         How many of the last vertices of the repaired mesh fill holes.
     lost

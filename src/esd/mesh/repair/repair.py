@@ -169,7 +169,7 @@ def repair(
         Maps become better, while areas and lengths are no longer those measured.
     together
         Whether pieces that touch are all kept, with a closed surface around them, where the
-        largest alone leaves out too much. They are not restored.
+        largest alone leaves out too much. Holes are not filled then, nor noise smoothed.
     dense
         Number of vertices beyond which everything is repaired, since meshes that are to be
         remeshed must be sound; the list of faces must be in any case.
