@@ -90,3 +90,19 @@ def test_standardisation_takes_no_notice_of_its_parts(collection, monkeypatch):
     in_place = table.standardised(mean, deviation, limit=1.0, in_place=True)
     assert np.shares_memory(in_place.values, table.values)
     np.testing.assert_array_equal(in_place.values, changed.values)
+
+
+def test_tables_of_16_bits_are_those_of_32_once_they_are_standardised(collection):
+    whole = point_table(collection, RECIPE, points=30)
+    half = point_table(collection, RECIPE, points=30, half=True, workers=Workers(2))
+    assert half.values.dtype == np.float16
+    moments = standardisation(whole)
+    for found, expected in zip(standardisation(half), moments, strict=True):
+        np.testing.assert_allclose(found, expected, rtol=1e-3)
+    there, here = (
+        table.standardised(*moments, limit=8.0, in_place=True) for table in (half, whole)
+    )
+    rows = whole.rows[1][whole.rows[1] >= 0]
+    # rounded twice to 11 bits, of numbers of some deviations
+    np.testing.assert_allclose(there.at(rows), here.at(rows), atol=5e-3)
+    assert there.at(rows).dtype == np.float32

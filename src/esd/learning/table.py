@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +14,7 @@ from esd.common import FloatArray, InputError, IntArray
 from esd.datasets.collection import Collection, Shape, repaired_shape
 from esd.datasets.remeshing import copy_name
 from esd.datasets.store import open_store
-from esd.descriptors.recipe import Recipe, descriptors
+from esd.descriptors.recipe import Recipe, recipe_spectrum, spectrum_descriptors
 from esd.learning.model import standardised
 from esd.learning.patches import Patches, patch_operator
 from esd.mesh.mesh import Mesh
@@ -22,6 +23,7 @@ from esd.spectral.cache import Cache
 from esd.spectral.laplacian import SparseMatrix
 
 _CHUNK = 2**14  # rows
+_LARGEST_HALF = 30_000.0  # deviations; numbers of 16 bits end at twice this
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,7 +45,7 @@ class PointTable:
 
     Parameters
     ----------
-    values : (vertices of all shapes, width) float32
+    values : (vertices of all shapes, width) float32 or float16
         Descriptors, the shapes one after another.
     rows : for each shape (points,) int64
         Row of `values` at each point of the shape's template; -1 where it has none.
@@ -54,17 +56,21 @@ class PointTable:
         what is not.
     operators : for each shape (vertices · bins, vertices)
         Of `esd.learning.patches.patch_operator`; none where nothing is convolved.
+    rough
+        By what values of 16 bits were standardised as they came, by the moments of one shape;
+        theirs, which are finer than a thousandth of a deviation, are known at the end only.
     """
 
-    values: npt.NDArray[np.float32]
+    values: npt.NDArray[np.float32] | npt.NDArray[np.float16]
     rows: tuple[IntArray, ...]
     templates: IntArray
     stored: Stored | None = None
     operators: tuple[SparseMatrix, ...] = ()
+    rough: Standardisation | None = None
 
     def at(self, rows: IntArray) -> npt.NDArray[np.float32]:
         """Descriptors at some rows, (r, width)."""
-        values = self.values[rows]
+        values = self.values[rows].astype(np.float32, copy=False)
         if self.stored is None or self.stored.standardisation is None:
             return values
         return self.stored.standardisation(values).astype(np.float32)
@@ -80,7 +86,8 @@ class PointTable:
         place = int(np.searchsorted(stops, rows[0], side="right"))
         operator = self.operators[place]
         start = int(stops[place]) - operator.shape[1]
-        values = np.nan_to_num(self.values[start : stops[place]])  # no patch takes the undefined
+        values = self.values[start : stops[place]].astype(np.float32, copy=False)
+        values = np.nan_to_num(values)  # no patch takes the undefined
         return WholeShape(values, operator, rows - start)
 
     def standardised(
@@ -99,11 +106,16 @@ class PointTable:
         change = Standardisation(mean, deviation, limit)
         if self.stored is not None:
             return replace(self, stored=replace(self.stored, standardisation=change))
+        if self.rough is not None:  # what is left to do after the rough one
+            first = self.rough
+            change = Standardisation(
+                (mean - first.mean) / first.deviation, deviation / first.deviation, limit
+            )
         values = self.values if in_place else np.empty_like(self.values)
         for start in range(0, len(values), _CHUNK):  # float64 of all at once may be too much
             part = slice(start, start + _CHUNK)
             values[part] = change(self.values[part])
-        return replace(self, values=values)
+        return replace(self, values=values, rough=None)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -150,6 +162,7 @@ def point_table(
     recipe: Recipe,
     *,
     points: int | None = None,
+    half: bool = False,
     patches: Patches | None = None,
     workers: Workers = THIS_PROCESS,
     cache: Cache | None = None,
@@ -162,6 +175,8 @@ def point_table(
     points
         Number of points of each template to keep, drawn at random but the same for all its shapes,
         with no other vertices, so that many shapes fit into memory; all by default.
+    half
+        Whether values are in 16 bits, as far as they are to be standardised: half the memory.
     patches
         Of which operators are computed as well. They need all vertices, so `points` must be None.
     workers
@@ -176,16 +191,26 @@ def point_table(
     """
     if collection.store is not None:
         raise InputError(f"'{collection.store}' is a store; see `stored_table`.")
-    describe = partial(_described, recipe=recipe, points=points, patches=patches, cache=cache)
+    describe = partial(
+        _described, recipe=recipe, points=points, half=half, patches=patches, cache=cache
+    )
     found: list[_Described | None] = [None] * len(collection.shapes)
     # filled as shapes arrive: joined at the end, the table would be in memory twice
     room = 0 if points is None else points
-    space = np.empty((len(found) * room, recipe.width), dtype=np.float32)
-    for outcome in outcomes(describe, enumerate(collection.shapes), workers=workers):
+    space = np.empty((len(found) * room, recipe.width), dtype=np.float16 if half else np.float32)
+    rough = None
+    jobs = list(enumerate(collection.shapes))
+    first = outcomes(describe, jobs[: int(half)], workers=THIS_PROCESS)
+    for outcome in chain(first, outcomes(describe, jobs[int(half) :], workers=workers)):
         place, shape = outcome.job
         if outcome.result is None:
             raise InputError(outcome.failure_of(shape.name))
         described = outcome.result
+        if half:
+            # by the moments of the first shape, whatever the order in which the others are done
+            rough = rough or _rough(described.values)
+            values = np.clip(rough(described.values), -_LARGEST_HALF, _LARGEST_HALF)
+            described = replace(described, values=values.astype(np.float16))
         if len(described.values) <= room:
             part = space[place * room :][: len(described.values)]
             part[:] = described.values
@@ -193,7 +218,14 @@ def point_table(
         found[place] = described
         on_shape()
     templates = _numbered([shape.template for shape in collection.shapes])
-    return _joined(found, templates, space)
+    return replace(_joined(found, templates, space), rough=rough)
+
+
+def _rough(values: FloatArray) -> Standardisation:
+    """Of the descriptors (n, width) of one shape, which stand for those of all."""
+    known = values[np.isfinite(values).all(axis=1)].astype(np.float64)
+    deviation = known.std(axis=0)
+    return Standardisation(known.mean(axis=0), np.where(deviation > 0, deviation, 1.0), None)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -202,14 +234,14 @@ class _Described:
 
     Parameters
     ----------
-    values : (vertices, width) float32
+    values : (vertices, width) float32 or float16
     rows : (points,)
         -1 for none.
     operator : (vertices · bins, vertices)
         Where something is convolved.
     """
 
-    values: npt.NDArray[np.float32]
+    values: npt.NDArray[np.float32] | npt.NDArray[np.float16]
     rows: IntArray
     operator: SparseMatrix | None
 
@@ -219,6 +251,7 @@ def _described(
     *,
     recipe: Recipe,
     points: int | None,
+    half: bool,
     patches: Patches | None,
     cache: Cache | None,
 ) -> _Described:
@@ -227,7 +260,8 @@ def _described(
     repaired, index, _ = repaired_shape(shape)
     mesh = repaired.shape
     assert isinstance(mesh, Mesh)
-    columns = descriptors(recipe, mesh, cache=cache)
+    spectrum = recipe_spectrum(recipe, mesh, cache=cache)
+    columns = spectrum_descriptors(recipe, mesh, spectrum, single=half)
     operator = None if patches is None else patch_operator(patches, mesh, cache=cache)
     if points is not None and points < len(index):
         # the same points of the template on all of its shapes
@@ -238,11 +272,13 @@ def _described(
         columns = columns[vertices]
     defined = np.isfinite(columns[index]).all(axis=1)
     rows = np.where((index >= 0) & defined, index, -1)
-    return _Described(columns.astype(np.float32), rows, operator)
+    return _Described(columns.astype(np.float32, copy=False), rows, operator)
 
 
 def _joined(
-    found: list[_Described | None], templates: IntArray, space: npt.NDArray[np.float32]
+    found: list[_Described | None],
+    templates: IntArray,
+    space: npt.NDArray[np.float32] | npt.NDArray[np.float16],
 ) -> PointTable:
     """The table of all shapes, which are taken from the list.
 
@@ -256,7 +292,7 @@ def _joined(
     stops = np.cumsum(sizes)
     room = len(space) // len(found)
     fits = max(sizes) <= room
-    values = space if fits else np.empty((stops[-1], space.shape[1]), dtype=np.float32)
+    values = space if fits else np.empty((stops[-1], space.shape[1]), dtype=space.dtype)
     rows, operators = [], []
     for place, (stop, size) in enumerate(zip(stops.tolist(), sizes, strict=True)):
         each, found[place] = found[place], None
@@ -329,4 +365,7 @@ def standardisation(table: PointTable, *, wanted: bool = True) -> tuple[FloatArr
     for part, known in zip(parts, defined, strict=True):
         variance += ((part[known] - mean) ** 2).sum(axis=0) / count
     deviation = np.sqrt(variance)
-    return mean, np.where(deviation > 0, deviation, 1.0)
+    deviation = np.where(deviation > 0, deviation, 1.0)
+    if table.rough is None:
+        return mean, deviation
+    return table.rough.mean + table.rough.deviation * mean, table.rough.deviation * deviation

@@ -184,6 +184,7 @@ def _training_data(
         point_table,
         recipe=training.recipe,
         points=training.points,
+        half=training.points is not None and training.standardise,
         patches=training.patches,
         workers=workers,
         cache=cache,
