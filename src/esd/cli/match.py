@@ -88,7 +88,6 @@ def match(
     from dataclasses import asdict
 
     from esd.learning.model import load_model
-    from esd.matching.adapt import check_adaptation
     from esd.matching.correspondence import check_map_path, save_map
     from esd.matching.match import match as match_meshes
     from esd.matching.match import prepared
@@ -105,6 +104,8 @@ def match(
         drawn = read_drawable(source), read_drawable(target)
     loaded = load_model(model, device=device)
     if adapt:
+        from esd.matching.adapt import check_adaptation  # with much that is slow to import
+
         check_adaptation(loaded)
     if reject:
         check_threshold(loaded)

@@ -13,7 +13,6 @@ import numpy as np
 
 from esd.common import FloatArray, InputError, IntArray
 from esd.learning.model import Model, load_model
-from esd.matching.adapt import adapted_model, check_adaptation
 from esd.matching.assignment import one_to_one as assignment
 from esd.matching.candidates import Candidate, Rows
 from esd.matching.choice import Choice, chained, check_candidates, chosen
@@ -114,6 +113,8 @@ def match(
         check_candidates(candidates, landmarks=landmarks is not None)
     model = model if isinstance(model, Model) else load_model(model)
     if adapt:
+        from esd.matching.adapt import check_adaptation  # with much that is slow to import
+
         check_adaptation(model)
     cache = default_cache() if cache is None else cache
     full = full or one_to_one
@@ -234,6 +235,8 @@ def match_features(
     if landmarks is not None and is_mesh:
         landmarks, used = _located(landmarks, source, target)
     if adapt:
+        from esd.matching.adapt import adapted_model
+
         model, adaptation = adapted_model(
             reflected(source, model=model) if mirror == "yes" else source,
             target,

@@ -12,7 +12,6 @@ from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
 from scipy.spatial import KDTree
 
 from esd.common import BoolArray, FloatArray
@@ -49,6 +48,8 @@ def surface_around(mesh: Mesh, vertex_count: int) -> Mesh | None:
     ----------
     Gibson 1998, *Constrained elastic surface nets*.
     """
+    from scipy import ndimage  # slow to import
+
     area = surface_area(mesh)
     used = mesh.vertices[np.unique(mesh.faces)]
     low, size = used.min(axis=0), np.ptp(used, axis=0)
