@@ -11,6 +11,7 @@ from esd.datasets.collection import Collection
 from esd.matching.correspondence import Correspondence
 from esd.mesh.geometry import is_referenced
 from esd.mesh.io.landmarks import Landmarks
+from esd.mesh.io.ply import ply_bytes
 from esd.mesh.mesh import Mesh
 from esd.parallel import THIS_PROCESS
 from esd.population import atlas as atlas_room
@@ -93,6 +94,22 @@ def test_a_shape_that_fails_does_not_abort_the_others(known_maps, collection, bl
     two = Collection("some", (*shapes[:2], *shapes[4:]))
     with pytest.raises(InputError, match=r"2 of the shapes can be used; .* 'c2.off' is no mesh"):
         atlas(two, template=blob, workers=THIS_PROCESS)
+
+
+def test_a_shape_without_support_is_left_out(known_maps, collection, blob, tmp_path):
+    first = atlas(collection, template=blob, folder=tmp_path, workers=THIS_PROCESS)
+    path = tmp_path / "registered" / "c1.ply"
+    none = np.zeros(len(blob.vertices), dtype=np.uint8)
+    path.write_bytes(ply_bytes(Mesh(first.vertices[1], blob.faces), {"supported": none}))
+    found = atlas(
+        collection,
+        template=blob,
+        folder=tmp_path,
+        keep_failed=True,
+        keep_size=True,
+        workers=THIS_PROCESS,
+    )
+    assert found.left_out == {"c1": "it has no surface where the template lies"}
 
 
 def test_landmarks_lead_the_maps(known_maps, collection, blob, tmp_path, caplog):

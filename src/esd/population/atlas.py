@@ -443,16 +443,17 @@ def _of_one_connectivity(collection: Collection, on_shape: Callable[[], None]) -
     """Shapes that correspond already, by equal indices."""
     records: list[RegisteredShape] = []
     vertices: dict[str, npt.NDArray[np.float64]] = {}
-    base: Mesh | None = None
+    base, first = None, ""
     for shape in collection.shapes:
         failure = ""
         try:
             mesh = shape.mesh()
-            base = base or mesh
+            if base is None:
+                base, first = mesh, shape.name
             if np.array_equal(mesh.faces, base.faces) and len(mesh.vertices) == len(base.vertices):
                 vertices[shape.name] = mesh.vertices
             else:
-                failure = f"its connectivity is not that of '{collection.shapes[0].name}'"
+                failure = f"its connectivity is not that of '{first}'"
         except InputError as error:
             failure = str(error)
         supported = 0.0 if failure else 1.0
@@ -466,7 +467,7 @@ def _of_one_connectivity(collection: Collection, on_shape: Callable[[], None]) -
         len(vertices), [f"'{each.name}': {each.failure}." for each in records if each.failure]
     )
     assert base is not None  # of the first shape that could be read
-    return _Registered(collection.shapes[0].name, base, tuple(records), vertices)
+    return _Registered(first, base, tuple(records), vertices)
 
 
 def reason_to_leave_out(shape: RegisteredShape) -> str:
@@ -487,22 +488,16 @@ def _statistics(
     left_out = {}
     for each in found.records:
         reason = each.failure if keep_failed else reason_to_leave_out(each)
+        if not reason and not is_present(found.vertices[each.name]).any():
+            reason = "it has no surface where the template lies"
         if reason:
             left_out[each.name] = reason
+    if keep_size:
+        kept = {name: each for name, each in found.vertices.items() if name not in left_out}
+        left_out |= _of_another_unit(kept)
     used = [each for each in found.records if each.name not in left_out]
     _check_enough(len(used), [f"'{name}': {reason}." for name, reason in left_out.items()])
     base, mass = found.mesh, vertex_areas(found.mesh)
-    if keep_size:
-        sizes = {each.name: _extent(found.vertices[each.name]) for each in used}
-        middle = float(np.median(list(sizes.values())))
-        for name, size in sizes.items():
-            if not 1 / _OTHER_UNIT < size / middle < _OTHER_UNIT:
-                left_out[name] = (
-                    f"it is {size / middle:.3g} times as large as usual; another unit of length? "
-                    "Convert it, or let sizes be removed"
-                )
-        used = [each for each in used if each.name not in left_out]
-        _check_enough(len(used), [f"'{name}': {reason}." for name, reason in left_out.items()])
     vertices = np.stack([found.vertices[each.name] for each in used])
     # what hardly any shape has is left out of all: nothing could be said of its variation
     seen = is_present(vertices).sum(axis=0) >= _FEWEST_SEEN
@@ -538,6 +533,15 @@ def _statistics(
     )
 
 
-def _extent(vertices: npt.NDArray[np.float64]) -> float:
-    """Longest side of the bounding box of the vertices that are there."""
-    return float((np.nanmax(vertices, axis=0) - np.nanmin(vertices, axis=0)).max())
+def _of_another_unit(vertices: dict[str, npt.NDArray[np.float64]]) -> dict[str, str]:
+    """Shapes so much larger or smaller than the others that it is no size, and the reason."""
+    sizes = {
+        name: float(np.ptp(each[is_present(each)], axis=0).max()) for name, each in vertices.items()
+    }
+    middle = float(np.median(list(sizes.values()))) if sizes else 1.0
+    return {
+        name: f"it is {size / middle:.3g} times as large as usual; another unit of length? Convert "
+        "it, or let sizes be removed"
+        for name, size in sizes.items()
+        if not 1 / _OTHER_UNIT < size / middle < _OTHER_UNIT
+    }
