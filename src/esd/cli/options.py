@@ -128,7 +128,7 @@ CandidatesOption = Annotated[
     typer.Option(
         metavar="NAMES",
         help="Choose the map only among these, with commas between: embedding, descriptors, "
-        "extrinsic, extrinsic+embedding, extrinsic+descriptors; with landmarks also "
+        "extrinsic, extrinsic+embedding, extrinsic+descriptors, part; with landmarks also "
         "landmarks+embedding, landmarks+descriptors, landmarks+extrinsic.",
         show_default=False,
     ),
@@ -147,6 +147,23 @@ MirrorOption = Annotated[
     Mirror,
     typer.Option(
         help="Mirror SOURCE first, as for a left and a right hand; auto: where that fits better."
+    ),
+]
+
+
+class Scale(str, Enum):
+    """What `--scale` takes."""
+
+    auto = "auto"
+    same = "same"
+    free = "free"
+
+
+ScaleOption = Annotated[
+    Scale,
+    typer.Option(
+        help="Where parts are missing: whether both shapes have one unit of length (same), or that "
+        "is not known (free); auto: they have unless the map fits badly."
     ),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print a summary as JSON.")]

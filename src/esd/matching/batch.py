@@ -20,6 +20,7 @@ from esd.matching.correspondence import check_map_path, save_map
 from esd.matching.features import Features
 from esd.matching.landmarks import paired_landmarks
 from esd.matching.match import Mirror, check_copies, match_features, prepared, working_features
+from esd.matching.parts import Scale
 from esd.mesh.geometry import surface_area
 from esd.mesh.io.landmarks import read_landmarks
 from esd.mesh.mesh import Mesh, PointCloud
@@ -173,6 +174,7 @@ def match_files(
     refine: bool | None = None,
     candidates: Sequence[str] | None = None,
     mirror: Mirror = "auto",
+    scale: Scale = "auto",
     adapt: bool = False,
     one_to_one: bool = False,
     reject: bool = False,
@@ -191,7 +193,7 @@ def match_files(
 
     Parameters
     ----------
-    candidates, mirror, adapt
+    candidates, mirror, scale, adapt
         See `esd.matching.match.match`.
     reject
         Whether matches beyond the model's threshold are dropped.
@@ -251,6 +253,7 @@ def match_files(
             refine=refine,
             candidates=candidates,
             mirror=mirror,
+            scale=scale,
             adapt=adapt,
             one_to_one=one_to_one,
             threshold=threshold,
@@ -379,6 +382,7 @@ def _match(
     refine: bool | None,
     candidates: Sequence[str] | None,
     mirror: Mirror,
+    scale: Scale,
     adapt: bool,
     one_to_one: bool,
     threshold: float,
@@ -405,6 +409,7 @@ def _match(
         candidates=candidates,
         landmarks=landmarks,
         mirror=mirror if by_way is None else "no",
+        scale=scale,
         adapt=adapt and by_way is None,
         by_way=by_way,
         cache=default_cache(),

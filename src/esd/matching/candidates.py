@@ -27,6 +27,7 @@ CANDIDATES = {
     "extrinsic": "affine alignment and smooth deformation, for shapes of one pose",
     "extrinsic+embedding": "extrinsic, refined with the embeddings",
     "extrinsic+descriptors": "extrinsic, refined with the descriptors",
+    "part": "embeddings of a model of parts, where a shape has large holes or is cut",
 }
 """Names of the candidates, and what each is."""
 

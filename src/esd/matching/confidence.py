@@ -27,6 +27,7 @@ _LOGISTIC = (-5.33, -1.47, -0.82)  # constant, and factors of the two logarithms
 _JUDGED = (-1.648, -0.336, -0.241, 1.028)  # the same, and the factor of the logit of the accuracy
 _ORIENTED = 0.3  # orientation that a map needs to be good; of mirrored ones below the negative
 _WORTH_SAYING = 0.01  # share of a shape that is unmatched
+_SAME_UNIT = 1e-6  # logarithm of a ratio of scales that is rounding
 _GOOD, _FAILED = 0.9, 0.5  # expected shares of vertices within 5 % of the diameter
 
 ADVICE = {
@@ -71,6 +72,36 @@ class Adaptation:
 
 
 @dataclass(frozen=True, slots=True)
+class Overlap:
+    """How far two shapes are parts of one whole.
+
+    Parameters
+    ----------
+    source
+        Share of the source's area that has a counterpart.
+    scale
+        Units of length of the source in one of the target, as they were taken to be.
+    consistent
+        Share of the smaller shape's area that the map takes there and back, see
+        `esd.matching.partial.consistent_share`.
+    """
+
+    source: float
+    scale: float
+    consistent: float
+
+    def in_a_line(self) -> str:
+        """What it means, in words."""
+        unit = "of one unit of length"
+        if abs(np.log(self.scale)) > _SAME_UNIT:
+            unit = f"of different units: one of the target is {self.scale:.3g} of the source"
+        return (
+            f"Partial: about {self.source:.0%} of the source has a counterpart; the shapes were "
+            f"taken to be {unit}."
+        )
+
+
+@dataclass(frozen=True, slots=True)
 class Judgement:
     """What is to be thought of a map as a whole.
 
@@ -98,6 +129,9 @@ class Judgement:
         What does harm in either shape and was not repaired, in words.
     adaptation
         What adapting the model to the two shapes cost and gave; None where it was not adapted.
+    overlap
+        Where the map is one between parts; None for maps between whole shapes. Vertices without a
+        counterpart do not count in the expected accuracy.
     """
 
     verdict: Verdict
@@ -109,16 +143,21 @@ class Judgement:
     unmatched: float = 0.0
     not_repaired: str = ""
     adaptation: Adaptation | None = None
+    overlap: Overlap | None = None
 
     @property
     def candidate(self) -> str | None:
         """Name of the candidate that was chosen; None where there was no choice."""
+        if self.overlap is not None:
+            return "part"
         return min(self.costs, key=lambda name: self.costs[name]) if self.costs else None
 
     @property
     def advice(self) -> str:
         """What to do; empty if the map is good."""
         parts = [ADVICE[self.verdict]]
+        if self.overlap is not None:
+            parts.append(self.overlap.in_a_line())
         if self.unmatched >= _WORTH_SAYING:
             parts.append(
                 f"{self.unmatched:.0%} of the source lies on loose pieces too far off to match."
@@ -230,7 +269,7 @@ def judgement(
         Share of the source that was not matched, beside what `values` are of.
     """
     counted = is_referenced(source) if counted is None else counted
-    accuracy = float(values[counted].mean()) * (1 - unmatched)
+    accuracy = float(values[counted].mean()) * (1 - unmatched) if counted.any() else 0.0
     side = orientation(source, target, target_index) * (-1 if turned_over else 1)
     if side < -_ORIENTED and accuracy >= _FAILED:
         return Judgement("mirrored", accuracy, side, unmatched=unmatched)

@@ -11,17 +11,19 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from esd.common import FloatArray, InputError, IntArray
+from esd.common import BoolArray, FloatArray, InputError, IntArray
 from esd.learning.model import Model, load_model
 from esd.matching.assignment import one_to_one as assignment
 from esd.matching.candidates import Candidate, Rows
 from esd.matching.choice import Choice, chained, check_candidates, chosen
-from esd.matching.confidence import Adaptation, confidence, judgement
+from esd.matching.confidence import Adaptation, Overlap, confidence, judgement
 from esd.matching.correspondence import Correspondence
 from esd.matching.features import Features, reflected, shape_features
 from esd.matching.judge import accuracy
 from esd.matching.landmarks import check_landmarks
 from esd.matching.local_refine import Level, levels, local_zoomout
+from esd.matching.partial import PartMap, consistent_share
+from esd.matching.parts import MISFITS, Scale, best_part_map
 from esd.matching.refine import SIZES, joint_rows, mean_squared_distance
 from esd.mesh.convert import MeshLike
 from esd.mesh.geometry import is_referenced
@@ -45,6 +47,9 @@ COARSE = 10_000
 
 Mirror: TypeAlias = Literal["auto", "yes", "no"]
 
+_PART = "part"  # of `CANDIDATES`
+_COUNTERPART = 0.5  # probability of a counterpart beyond which a vertex is matched
+_AS_CONSISTENT = 0.02  # share by which maps between parts may be less consistent than others
 _SURE = 0.9  # expected accuracy beyond which a mirror image is not tried
 _CLEARLY = 1.0  # least difference of costs, log-odds, by which a mirror image is taken
 _BACK_SIZES = (60, 160)  # of the map back, which only serves to judge the map
@@ -60,6 +65,7 @@ def match(
     candidates: Sequence[str] | None = None,
     landmarks: IntArray | None = None,
     mirror: Mirror = "auto",
+    scale: Scale = "auto",
     adapt: bool = False,
     coarse: int | None = None,
     full: bool = False,
@@ -90,6 +96,9 @@ def match(
     mirror
         Whether the source is mirrored before it is matched: left hands to right ones. With `auto`,
         it is where the mirror image fits clearly better, see `Judgement.is_mirrored`.
+    scale
+        Whether both shapes have one unit of length, where parts of them are missing: `same`, or
+        `free` if that is not known; `auto` takes it to be so unless the map fits badly.
     adapt
         Whether the model first learns on the two shapes, without correspondences, for some
         seconds; what it learned is used if the judge finds the map better, see
@@ -134,6 +143,7 @@ def match(
         candidates=candidates,
         landmarks=landmarks,
         mirror=mirror,
+        scale=scale,
         adapt=adapt,
         cache=cache,
     )
@@ -143,8 +153,8 @@ def match(
             _log.warning("The %s has %s.", name, each.in_a_line())
         if each.not_repaired():
             left.append(f"{each.not_repaired()} in the {name}")
-    if found.judgement is None or not left:
-        return found
+    if found.judgement is None or not left or found.judgement.overlap is not None:
+        return found  # maps between parts take holes as they are
     return replace(found, judgement=replace(found.judgement, not_repaired="; ".join(left)))
 
 
@@ -210,6 +220,7 @@ def match_features(
     candidates: Sequence[str] | None = None,
     landmarks: IntArray | None = None,
     mirror: Mirror = "auto",
+    scale: Scale = "auto",
     adapt: bool = False,
     by_way: IntArray | None = None,
     cache: Cache | None = None,
@@ -225,6 +236,8 @@ def match_features(
         Where spectra of the copies that a model is adapted on are looked up and kept.
     """
     refine = model.is_oriented if refine is None else refine
+    # a map between parts is found beside the others
+    others = None if candidates is None else tuple(c for c in candidates if c != _PART)
     is_mesh = isinstance(source.shape, Mesh) and isinstance(target.shape, Mesh)
     costs: dict[str, float] = {}
     expected: float | None = None
@@ -241,20 +254,27 @@ def match_features(
             reflected(source, model=model) if mirror == "yes" else source,
             target,
             model=model,
-            names=candidates,
+            names=others or None,
             landmarks=landmarks,
             cache=cache,
         )
         source, target = source.embedded_by(model), target.embedded_by(model)
     choice: Choice | None = None
+    parts: PartMap | None = None
     if by_way is not None and is_mesh:
         choice = chained(source, target, _on_shapes(by_way, source, target))
     elif is_mesh and (refine or candidates or landmarks is not None or mirror == "yes"):
+        if mirror != "yes" and (candidates is None or _PART in candidates):
+            parts = best_part_map(
+                source, target, model=model, scale=scale, landmarks=landmarks, cache=cache
+            )
+        if parts is not None and parts.consistent > MISFITS:
+            mirror = "no"  # what is missing makes mirror images look as good
         choice, mirrored = _mirror_chosen(
-            source, target, model=model, names=candidates, landmarks=landmarks, mirror=mirror
+            source, target, model=model, names=others or None, landmarks=landmarks, mirror=mirror
         )
         if mirrored is not None:
-            source, is_mirrored = mirrored, True
+            source, is_mirrored, parts = mirrored, True, None
     elif landmarks is not None or mirror == "yes":
         raise InputError("Landmarks and mirror images need meshes; these are points.")
     if choice is not None:
@@ -263,11 +283,24 @@ def match_features(
         maps = _full_maps(source, target, choice.candidate, refine=refine, device=model.device)
     else:
         maps = _nearest_maps(source, target, refine=refine, device=model.device)
+    if parts is not None and others != () and not _fits_better(parts, maps, expected or 0.0):
+        parts = None
     is_copy = source.copy is not None or target.copy is not None
-    rows = maps.rows() if one_to_one or is_copy else (source.embedded, target.embedded)
-    index = assignment(*rows) if one_to_one else maps.index
-    found = with_similarity(source.embedded, target.embedded, index, margin=model.margin)
-    found = _judged(found, maps.back, source, target, expected)
+    kept: BoolArray | None = None
+    rows = source.embedded, target.embedded
+    if parts is not None:
+        rows = parts.rows
+    elif one_to_one or is_copy:
+        rows = maps.rows()
+    index = assignment(*rows) if one_to_one else (maps.index if parts is None else parts.forward)
+    if parts is None:
+        found = with_similarity(source.embedded, target.embedded, index, margin=model.margin)
+        found = _judged(found, maps.back, source, target, expected)
+    else:
+        embeddings = parts.source.embedded, parts.target.embedded
+        found = with_similarity(*embeddings, index, margin=None)
+        kept = parts.counterparts() > _COUNTERPART
+        found = _judged_parts(found, parts, kept, source, target)
     if found.judgement is not None:
         found = replace(
             found,
@@ -291,6 +324,10 @@ def match_features(
         ]
         image = precise_map(*rows, copies[1].mesh.faces, found.target_index)
         found = carried_to_dense(found, image, *copies)
+        if kept is not None:
+            kept = copies[0].carried(kept.astype(np.float64)) > _COUNTERPART
+    if kept is not None:
+        found = found.keeping(kept)
     found = _for_original_vertices(found, source, target)
     return _without_doubles(found, source) if one_to_one else found
 
@@ -394,6 +431,40 @@ def _refined_maps(
     (index, _), (back, _) = side_by_side(lambda way: way(), ways)
     size = min(SIZES[-1], *(len(spectrum.eigenvalues) for spectrum in spectra))
     return _Maps(index, back, lambda: joint_rows(*spectra, index, size=size, embeddings=embeddings))
+
+
+def _fits_better(parts: PartMap, maps: _Maps, expected: float) -> bool:
+    """Whether a map between parts is better than one between the shapes as wholes.
+
+    Parameters
+    ----------
+    expected
+        Accuracy of the second. Deformed shapes can be consistent on wrong limbs, so that its
+        consistent share alone says too much.
+    """
+    share = consistent_share(parts.source, parts.target, maps.index, maps.back)
+    _log.info("Consistent: %.2f as parts, %.2f as wholes.", parts.consistent, share)
+    return parts.consistent > min(share, expected) - _AS_CONSISTENT
+
+
+def _judged_parts(
+    match: Correspondence, parts: PartMap, kept: BoolArray, source: Features, target: Features
+) -> Correspondence:
+    """A map between parts with its confidence and a judgement of the vertices that are kept."""
+    kept = kept & (match.target_index >= 0)
+    values = np.where(kept, parts.confidence(), 0.0)
+    verdict = judgement(
+        parts.source.mesh,
+        parts.target.mesh,
+        np.where(kept, match.target_index, -1),
+        values,
+        counted=kept,
+        turned_over=source.is_turned != target.is_turned,
+        unmatched=source.lost,
+    )
+    mass = parts.source.spectrum.mass
+    overlap = Overlap(float(mass[kept].sum() / mass.sum()), parts.scale, parts.consistent)
+    return replace(match, confidence=values, judgement=replace(verdict, overlap=overlap))
 
 
 def _judged(

@@ -1,0 +1,296 @@
+"""Maps between shapes of which parts are missing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.spatial import KDTree
+
+from esd.common import FloatArray, IntArray
+from esd.descriptors.recipe import recipe_spectrum, spectrum_descriptors
+from esd.learning.model import Model
+from esd.matching.candidates import Rows
+from esd.matching.landmarks import landmark_rows
+from esd.mesh.geometry import (
+    adjacency,
+    edges,
+    is_referenced,
+    surface_area,
+    vertex_normals,
+)
+from esd.mesh.mesh import Mesh
+from esd.mesh.sampling import spread
+from esd.mesh.topology import boundary_edges
+from esd.nearest import nearest
+from esd.parallel import side_by_side
+from esd.spectral.cache import Cache
+from esd.spectral.spectrum import Spectrum
+
+_SAMPLES = 1500  # at which maps are refined
+_SIZES = (6, 6, 6, 10, 10, 10, 16, 24, 36, 54, 80, 110)  # target's functions, step by step
+_MORE = 2  # source's functions beyond its share of the target's area
+_WEIGHT = 2.5  # of embeddings beside functions: matched rows are as far apart in both, times this
+_LANDMARK_WEIGHT = 1.5  # of rows of landmarks beside embeddings, which have unit length
+_RIDGE = 1e-3
+_REWEIGHTINGS = 6
+
+_NEAR = 0.04  # in √area of the whole, within which a way there and back returns
+_STRETCH = 2.5  # times their length, beyond which the image of an edge is torn
+
+_RINGS = 8  # of edges around a vertex, over which what speaks for a counterpart is averaged
+_LOST = 0.5  # in √area of the whole, at which ways there and back are cut off
+_INSIDE = 0.3  # the same of distances to a boundary
+_OFFSETS = np.array([0.01, 0.05, 0.01, 0.01])  # of the logarithms
+# constant and weights of `_evidence`: for having a counterpart, and for being matched rightly
+_COUNTERPART = (2.69, -1.62, -1.3, 1.14, 0.98, -0.25)
+_RIGHT = (-1.2, -1.52, -2.48, 0.93, 0.35, -0.23)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Part:
+    """A shape as a part of a whole.
+
+    Parameters
+    ----------
+    mesh
+        Without what fills its holes; these vertices are left, without faces.
+    spectrum
+        Whose area is the shape's share of the whole's.
+    embedded : (n, d)
+        Embedding of its vertices; NaN at those without a face.
+    points : (n, 3)
+        Its vertices, in units of √area of the whole.
+    sample : (s,)
+        Vertices spread over it.
+    """
+
+    mesh: Mesh
+    spectrum: Spectrum
+    embedded: FloatArray
+    points: FloatArray
+    sample: IntArray
+
+
+def part(mesh: Mesh, whole_area: float, *, model: Model, cache: Cache | None = None) -> Part:
+    """A mesh as a part of a whole of some area, by a model of parts.
+
+    Raises
+    ------
+    InputError
+        If the mesh cannot be described.
+    """
+    spectrum = recipe_spectrum(model.recipe, mesh, cache=cache)
+    spectrum = spectrum.with_area(surface_area(mesh) / whole_area)
+    values = spectrum_descriptors(model.recipe, mesh, spectrum, single=True, cache=cache)
+    embedded = model.embed(values, model.operator(mesh, spectrum, cache=cache))
+    points = mesh.vertices / np.sqrt(whole_area)
+    used = np.flatnonzero(is_referenced(mesh))
+    return Part(mesh, spectrum, embedded, points, used[spread(points[used], _SAMPLES)])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PartMap:
+    """A map between parts, and one back.
+
+    Parameters
+    ----------
+    source, target
+        The parts.
+    forward, backward : (n,) and (m,)
+        The nearest vertex of the other; -1 at vertices without a face.
+    rows
+        Whose nearest `forward` is.
+    consistent
+        See `consistent_share`.
+    """
+
+    source: Part
+    target: Part
+    forward: IntArray
+    backward: IntArray
+    rows: Rows
+    consistent: float
+
+    @property
+    def scale(self) -> float:
+        """Units of length of the source in one of the target, as they were taken."""
+        here, there = (
+            float(np.sqrt(surface_area(each.mesh) / each.spectrum.area))
+            for each in (self.source, self.target)
+        )
+        return here / there
+
+    def counterparts(self) -> FloatArray:
+        """Probability that each source vertex has a counterpart, (n,)."""
+        return _probability(self, _COUNTERPART)
+
+    def confidence(self) -> FloatArray:
+        """Probability that each match is within 5 % of the whole's diameter of the truth, (n,)."""
+        return _probability(self, _RIGHT)
+
+
+def part_map(source: Part, target: Part, *, landmarks: IntArray | None = None) -> PartMap:
+    """The map between parts, and the one back, refined where they fit.
+
+    Parameters
+    ----------
+    landmarks : (l, 2)
+        Vertices of both that correspond.
+    """
+    rows = [source.embedded, target.embedded]
+    if landmarks is not None:
+        rows = [
+            np.hstack([each.embedded, _LANDMARK_WEIGHT * landmark_rows(each.mesh, ends)])
+            for each, ends in zip((source, target), landmarks.T, strict=True)
+        ]
+
+    def refined(is_forward: bool) -> tuple[IntArray, Rows]:
+        if is_forward:
+            return _refined(source, target, (rows[0], rows[1]))
+        return _refined(target, source, (rows[1], rows[0]))
+
+    (forward, nearest_rows), (backward, _) = side_by_side(refined, (True, False))
+    share = consistent_share(source, target, forward, backward)
+    return PartMap(source, target, forward, backward, nearest_rows, share)
+
+
+def _refined(source: Part, target: Part, embeddings: Rows) -> tuple[IntArray, Rows]:
+    """The nearest target vertex of each source vertex, and the rows by which it is.
+
+    The first functions of the target, as they appear on the source, are fitted by the first of the
+    source, as many as its share of the area (Rodolà et al. 2017, *Partial functional
+    correspondence*): by least squares at samples, reweighted so that what does not fit counts
+    less. The nearest rows of functions and embeddings are the next map.
+    """
+    sample = source.sample
+    at_sample = embeddings[0][sample]
+    index, _ = nearest(at_sample, embeddings[1])
+    share = min(source.spectrum.area / target.spectrum.area, 1.0)
+    here, there = (
+        each.spectrum.eigenvectors * np.sqrt(each.spectrum.area) for each in (source, target)
+    )
+    rows = embeddings
+    for size in _SIZES:
+        size = min(size, there.shape[1])
+        own = min(int(np.ceil(size * share)) + _MORE, here.shape[1])
+        fitted, misfit = _fitted(here[sample, :own], there[index, :size])
+        apart = np.linalg.norm(at_sample - embeddings[1][index], axis=1)
+        weight = _WEIGHT * np.median(misfit) / max(float(np.median(apart)), 1e-6)
+        rows = (
+            _beside(here[:, :own] @ fitted, weight * embeddings[0]),
+            _beside(there[:, :size], weight * embeddings[1]),
+        )
+        index, _ = nearest(rows[0][sample], rows[1])
+    return nearest(*rows)[0], rows
+
+
+def _fitted(basis: FloatArray, wanted: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Coefficients that fit values at samples by a basis, and the misfit of each, (s,)."""
+    weights = np.ones(len(basis))
+    ridge = _RIDGE * len(basis) * np.eye(basis.shape[1])
+    for _ in range(_REWEIGHTINGS):
+        weighted = basis * weights[:, None]
+        found = np.linalg.solve(weighted.T @ basis + ridge, weighted.T @ wanted)
+        misfit = np.linalg.norm(basis @ found - wanted, axis=1)
+        weights = 1 / (1 + (misfit / max(float(np.median(misfit)), 1e-9)) ** 2) ** 2
+    return found, misfit
+
+
+def _beside(first: FloatArray, second: FloatArray) -> FloatArray:
+    return np.hstack([first, second]).astype(np.float32)
+
+
+def consistent_share(source: Part, target: Part, forward: IntArray, backward: IntArray) -> float:
+    """Area that is mapped there and back, as a share of the smaller area of both.
+
+    Of faces whose corners return to within 0.04, none of whose edges becomes much longer, and
+    which keep their orientation; each counts as the smaller of its area and that of its image.
+    The smaller of what that is on either shape.
+    """
+    area = min(
+        _consistent_area(source, target, forward, backward),
+        _consistent_area(target, source, backward, forward),
+    )
+    return area / min(source.spectrum.area, target.spectrum.area)
+
+
+def _consistent_area(here: Part, there: Part, index: IntArray, back: IntArray) -> float:
+    faces = here.mesh.faces
+    image = index[faces]
+    matched = (image >= 0).all(axis=1)
+    faces, image = faces[matched], image[matched]
+    near = _missed_by(here, index, back)[faces].max(axis=1) < _NEAR
+    length, longer = (
+        np.linalg.norm(points[corners] - np.roll(points[corners], 1, axis=1), axis=2)
+        for points, corners in ((here.points, faces), (there.points, image))
+    )
+    spacing = np.sqrt(there.spectrum.area / np.count_nonzero(there.spectrum.mass))
+    smooth = (longer < _STRETCH * (length + spacing)).all(axis=1)
+    turns = []
+    for points, corners in ((here.points, faces), (there.points, image)):
+        a, b, c = (points[corners[:, corner]] for corner in range(3))
+        turns.append(np.cross(b - a, c - a))
+    normals = vertex_normals(there.mesh)[image].sum(axis=1)
+    kept = np.einsum("fd,fd->f", turns[1], normals) >= 0
+    areas = [np.linalg.norm(turn, axis=1) / 2 for turn in turns]
+    counted = near & smooth & kept
+    # images of single faces are rough: a coarser target gives none for many, and more for others
+    return float(min(areas[0][counted].sum(), areas[1][counted].sum()))
+
+
+def _missed_by(each: Part, index: IntArray, back: IntArray) -> FloatArray:
+    """By how far going there and back misses each vertex, (n,), in √area of the whole."""
+    again = np.where(index >= 0, back[index], -1)
+    missed = np.linalg.norm(each.points - each.points[again], axis=1)
+    return np.where(again >= 0, missed, np.inf)
+
+
+def _probability(found: PartMap, weights: tuple[float, ...]) -> FloatArray:
+    logit = weights[0] + _evidence(found) @ np.array(weights[1:])
+    return np.where(found.forward >= 0, 1 / (1 + np.exp(-logit)), 0.0)
+
+
+def _evidence(found: PartMap) -> FloatArray:
+    """What speaks for a counterpart of each source vertex, (n, 5), averaged around it.
+
+    Logarithms of: by how far going there and back misses; the distance of the matched embeddings;
+    by how far going back and there misses the match; its distance to the target's boundary; and
+    how much longer edges become.
+    """
+    source, target, index = found.source, found.target, found.forward
+    rim = np.unique(boundary_edges(target.mesh))
+    inside = np.full(len(index), _INSIDE)
+    if len(rim):
+        inside = KDTree(target.points[rim]).query(target.points[index])[0]
+    values = np.stack(
+        [
+            np.minimum(_missed_by(source, index, found.backward), _LOST),
+            np.linalg.norm(source.embedded - target.embedded[index], axis=1),
+            np.minimum(_missed_by(target, found.backward, index), _LOST)[index],
+            np.minimum(inside, _INSIDE),
+        ],
+        axis=1,
+    )
+    pairs = edges(source.mesh)
+    lengths = np.zeros((len(index), 2))
+    for column, (points, ends) in enumerate(
+        ((source.points, pairs), (target.points, index[pairs]))
+    ):
+        length = np.linalg.norm(points[ends[:, 0]] - points[ends[:, 1]], axis=1)
+        for end in pairs.T:
+            lengths[:, column] += np.bincount(end, length, minlength=len(index))
+    logarithms = np.nan_to_num(np.log(values + _OFFSETS))
+    mean = _averaged(source.mesh, np.hstack([logarithms, lengths]))
+    longer = np.log((mean[:, 5] + 1e-3) / (mean[:, 4] + 1e-3))
+    return np.column_stack([mean[:, :4], longer])
+
+
+def _averaged(mesh: Mesh, values: FloatArray) -> FloatArray:
+    """Values (n, c) averaged over neighbours, again and again."""
+    near = adjacency(edges(mesh), len(values)) + sparse.eye_array(len(values), format="csr")
+    count = near.sum(axis=1)[:, None]
+    for _ in range(_RINGS):
+        values = (near @ values) / count
+    return values

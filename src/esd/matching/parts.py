@@ -1,0 +1,126 @@
+"""Whether shapes are parts of a whole, at which scale, and the map between them then."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from functools import lru_cache
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from esd.common import IntArray
+from esd.learning.model import Model, load_model
+from esd.matching.features import Features
+from esd.matching.partial import PartMap, part, part_map
+from esd.mesh.geometry import components, surface_area
+from esd.mesh.mesh import Mesh
+from esd.mesh.topology import boundary_edges
+from esd.spectral.cache import Cache
+
+BUNDLED = "partial"
+"""Name of the model of parts that is used beside models of whole shapes."""
+
+Scale: TypeAlias = Literal["auto", "same", "free"]
+"""Whether shapes have one unit of length: taken to be so unless it fits badly, so, or not so."""
+
+MISFITS = 0.6
+"""Consistent share below which a map between parts is not taken to be one."""
+
+_OPEN = 0.15  # length of all boundaries, in √area, beyond which something may be missing
+_FITS = 0.9  # consistent share beyond which nothing else is tried
+_LARGER = (1.0, 1.25, 1.6, 2.0)  # area of the whole, times that of the larger part
+_SHARES = (1.0, 0.8, 0.63, 0.5, 0.4, 0.3)  # of the whole, where units differ
+_LARGEST = 1.5  # area of an open shape, times that of a whole one of the same unit
+
+
+def open_mesh(features: Features) -> Mesh | None:
+    """The mesh without what fills its holes, if its boundaries are long enough; else None.
+
+    None, too, where it has several pieces: these have boundaries where they touch.
+    """
+    mesh = features.shape
+    if not isinstance(mesh, Mesh) or components(mesh).max() > 0:
+        return None
+    if features.copy is None and features.filling:
+        own = ~features.is_filling()[mesh.faces].any(axis=1)
+        mesh = Mesh(mesh.vertices, mesh.faces[own])
+    rim = mesh.vertices[boundary_edges(mesh)]
+    length = np.linalg.norm(rim[:, 0] - rim[:, 1], axis=1).sum()
+    return mesh if length > _OPEN * np.sqrt(surface_area(mesh)) else None
+
+
+def best_part_map(
+    source: Features,
+    target: Features,
+    *,
+    model: Model,
+    scale: Scale = "auto",
+    landmarks: IntArray | None = None,
+    cache: Cache | None = None,
+) -> PartMap | None:
+    """The map between shapes of which one or both are parts; None where neither is open.
+
+    Where one is whole and of the same unit, its area is the whole's. Where both are open, the
+    whole is larger than either, and several sizes are tried; where units differ, several shares
+    that an open shape could be of its whole. The most consistent map is taken, see
+    `esd.matching.partial.consistent_share`.
+
+    Parameters
+    ----------
+    model
+        Of parts; the bundled one is used in place of any other.
+    landmarks : (l, 2)
+        Vertices of both shapes that correspond.
+    """
+    opened = [open_mesh(each) for each in (source, target)]
+    if opened == [None, None]:
+        return None
+    meshes = []
+    for mesh, each in zip(opened, (source, target), strict=True):
+        assert isinstance(each.shape, Mesh)  # points are never matched as parts
+        meshes.append(each.shape if mesh is None else mesh)
+    model = model if model.diffusion is not None else _bundled()
+    areas = [surface_area(mesh) for mesh in meshes]
+    best: PartMap | None = None
+    for is_same, wholes in _wholes(areas, [mesh is not None for mesh in opened], scale):
+        enough = MISFITS if scale == "auto" and not is_same else _FITS
+        if best is not None and best.consistent >= enough:
+            break
+        parts = [
+            part(mesh, whole, model=model, cache=cache)
+            for mesh, whole in zip(meshes, wholes, strict=True)
+        ]
+        found = part_map(parts[0], parts[1], landmarks=landmarks)
+        if best is None or found.consistent > best.consistent:
+            best = found
+    return best
+
+
+@lru_cache(maxsize=1)
+def _bundled() -> Model:
+    return load_model(BUNDLED)
+
+
+def _wholes(
+    areas: Sequence[float], is_open: Sequence[bool], scale: Scale
+) -> Iterator[tuple[bool, tuple[float, float]]]:
+    """Areas of the wholes of both shapes to try, each in its own unit, and whether it is one."""
+    if all(is_open):
+        alike = [max(areas) * factor for factor in _LARGER]
+        is_plausible = True
+    else:
+        place = is_open.index(False)
+        alike = [areas[place]]
+        is_plausible = areas[1 - place] <= _LARGEST * areas[place]
+    if scale == "same" or (scale == "auto" and is_plausible):
+        yield from ((True, (whole, whole)) for whole in alike)
+    if scale == "same":
+        return
+    for share in _SHARES:
+        if all(is_open):
+            yield False, (areas[0] / share, areas[1])
+            yield False, (areas[0], areas[1] / share)
+        elif is_open[0]:
+            yield False, (areas[0] / share, areas[1])
+        else:
+            yield False, (areas[0], areas[1] / share)
