@@ -37,6 +37,7 @@ def test_chains_connect_shapes_of_one_class_and_their_maps_are_right(collection)
     }
     assert not [pair for pair in found.chains if 3 in pair]  # none to the ring, or from it
     assert found.lesson(samples, 0, 3) is None
+    assert set(found.near) <= {(0, 1), (0, 2), (1, 2)}
     taught = found.lesson(samples, 0, 1)
     assert len(taught.source) > 100
     image = samples[1].vertices[taught.target]

@@ -69,10 +69,14 @@ class FirstMaps:
     chains
         By the same: numbers of the shapes from the source to the target, both included, through
         which the map goes; none where no map can be trusted.
+    near
+        Numbers of two shapes, the lesser first, whose direct maps are expected to be good: so
+        alike that a refinement, which takes them for isometric, does no harm.
     """
 
     maps: Mapping[tuple[int, int], IntArray]
     chains: Mapping[tuple[int, int], tuple[int, ...]]
+    near: Sequence[tuple[int, int]] = ()
 
     def pairs(self) -> list[tuple[int, int]]:
         """Numbers of the shapes that chains connect there and back, the lesser first."""

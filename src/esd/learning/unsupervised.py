@@ -67,6 +67,9 @@ class Teaching:
     own_share
         Share of the other updates that are between copies of one shape instead, whose truth is
         known.
+    near_share
+        Share of the pairs after the warm-up that are drawn from those whose first maps are good;
+        the others from all that are of one class.
     recent
         Number of pairs whose matches are remembered.
     points
@@ -85,10 +88,11 @@ class Teaching:
         Steps between two points of the curve, and between two checkpoints.
     """
 
-    steps: int = 400
+    steps: int = 600
     warm_up: int = 100
-    updates: int = 3
-    own_share: float = 0.34
+    updates: int = 5
+    own_share: float = 0.2
+    near_share: float = 0.75
     recent: int = 12
     points: int = 4000
     drawn: int = 1500
@@ -442,12 +446,21 @@ def _first_matches(
 
 
 def _drawn_pair(
-    samples: Sequence[Samples], first: FirstMaps | None, generator: np.random.Generator
+    samples: Sequence[Samples],
+    first: FirstMaps | None,
+    generator: np.random.Generator,
+    *,
+    near_share: float = 0.0,
 ) -> tuple[int, int]:
-    """Numbers of two shapes drawn at random, of those that the first maps connect, if any."""
-    pairs = first.pairs() if first is not None else []
-    if pairs:
-        return pairs[generator.integers(len(pairs))]
+    """Numbers of two shapes drawn at random, of those that the first maps connect, if any.
+
+    With some probability, of those that are near each other.
+    """
+    if first is not None:
+        is_near = bool(first.near) and generator.random() < near_share
+        pairs = first.near if is_near else first.pairs()
+        if pairs:
+            return pairs[int(generator.integers(len(pairs)))]
     source, target = generator.choice(len(samples), size=2, replace=False).tolist()
     return source, target
 
@@ -475,7 +488,7 @@ def _reliable(
     All that were tried are added to a list.
     """
     for _ in range(_TRIES):
-        source, target = _drawn_pair(samples, first, generator)
+        source, target = _drawn_pair(samples, first, generator, near_share=teaching.near_share)
         found = _lesson(run, samples[source], samples[target], teaching, share, generator)
         tried.append(found)
         if is_reliable(found):

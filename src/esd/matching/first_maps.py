@@ -37,6 +37,7 @@ _PAIRS, _PAIRS_OF_A_SHAPE = 200, 5  # the larger number at most, of all that the
 _NEAR_SHARE = 0.7  # of the pairs that are of shapes with similar spectra
 _EIGENVALUES = 30  # by which spectra are compared
 _TRUSTED = 0.5  # least expected accuracy of a map that is part of a chain
+_GOOD = 0.75  # the same of maps between shapes that are near each other
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,7 +97,10 @@ def first_maps(
             ):
                 if value >= _TRUSTED:
                     maps[pair], trusted[pair] = rows, value
-    return FirstMaps(maps, trusted_chains(trusted, len(samples)))
+    near = [
+        (i, j) for i, j in pairs if min(trusted.get((i, j), 0.0), trusted.get((j, i), 0.0)) >= _GOOD
+    ]
+    return FirstMaps(maps, trusted_chains(trusted, len(samples)), near)
 
 
 def step_count(shapes: int) -> int:
