@@ -13,13 +13,22 @@ from esd.mesh.mesh import Mesh
 
 def face_normals(mesh: Mesh) -> FloatArray:
     """Normals of the faces, (m, 3), each as long as twice its face's area."""
-    a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
-    return np.asarray(np.cross(b - a, c - a))
+    # `np.take` and products of columns: of millions of faces indexing and `np.cross` take twice
+    # the time
+    a, b, c = (np.take(mesh.vertices, mesh.faces[:, i], axis=0) for i in range(3))
+    b -= a
+    c -= a
+    normals = np.empty((len(mesh.faces), 3))
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        normals[:, i] = b[:, j] * c[:, k] - b[:, k] * c[:, j]
+    return normals
 
 
 def face_areas(mesh: Mesh) -> FloatArray:
     """Areas of the faces, (m,), in squared units of length."""
-    return np.asarray(np.linalg.norm(face_normals(mesh), axis=1) / 2)
+    normals = face_normals(mesh)
+    return np.asarray(np.sqrt(np.einsum("ij,ij->i", normals, normals)) / 2)
 
 
 def surface_area(mesh: Mesh) -> float:
@@ -41,16 +50,18 @@ def vertex_normals(mesh: Mesh) -> FloatArray:
     Zero where a vertex has no face or its normals cancel.
     """
     normals, of_faces = np.zeros_like(mesh.vertices), face_normals(mesh)
-    for corner in range(3):
-        np.add.at(normals, mesh.faces[:, corner], of_faces)
+    for corner in mesh.faces.T:
+        for axis in range(3):
+            normals[:, axis] += np.bincount(corner, of_faces[:, axis], len(normals))
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     return np.divide(normals, length, out=normals, where=length > 0)
 
 
 def edge_lengths(mesh: Mesh) -> FloatArray:
     """Lengths of the three sides of each face, (m, 3); side i lies opposite to corner i."""
-    corners = mesh.vertices[mesh.faces]
-    return np.asarray(np.linalg.norm(corners[:, [2, 0, 1]] - corners[:, [1, 2, 0]], axis=2))
+    corners = np.take(mesh.vertices, mesh.faces, axis=0)
+    sides = corners[:, [2, 0, 1]] - corners[:, [1, 2, 0]]
+    return np.asarray(np.sqrt(np.einsum("msi,msi->ms", sides, sides)))
 
 
 def edges(mesh: Mesh) -> IntArray:

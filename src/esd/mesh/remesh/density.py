@@ -19,6 +19,8 @@ def density_and_metric(
     mesh: Mesh, fine: Refinement, style: Style
 ) -> tuple[FloatArray, sparse.csr_array]:
     """How much closer than usual vertices should be, and lengths of the edges that say so."""
+    if style.grading == 0 and style.stretch <= 1:  # nothing depends on the curvature
+        return _even(fine)
     bending = _bending(mesh)[mesh.faces].mean(axis=1)
     # an old face for each vertex of the refinement; whichever, for vertices without one
     any_face = np.minimum(fine.around.indptr[:-1], len(fine.around.indices) - 1)
@@ -40,6 +42,15 @@ def density_and_metric(
     size = len(fine.mesh.vertices)
     half = sparse.coo_array((length, (start, end)), shape=(size, size))
     return density, (half + half.T).tocsr()
+
+
+def _even(fine: Refinement) -> tuple[FloatArray, sparse.csr_array]:
+    """As `density_and_metric`, where all edges count as they are."""
+    start, end = fine.edges.T
+    size = len(fine.mesh.vertices)
+    length = np.linalg.norm(fine.mesh.vertices[end] - fine.mesh.vertices[start], axis=1)
+    half = sparse.coo_array((length, (start, end)), shape=(size, size))
+    return np.ones(size), (half + half.T).tocsr()
 
 
 def _bending(mesh: Mesh) -> FloatArray:
