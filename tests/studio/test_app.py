@@ -2,6 +2,7 @@ import asyncio
 import json
 import struct
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -46,7 +47,9 @@ def ask(app, *requests, headers=None):
             sent = [client.request(method, path, **more) for method, path, more in requests]
             return await asyncio.gather(*sent)
 
-    return asyncio.run(all_of())
+    # in a thread of its own, since tests with a browser leave a loop running in this one
+    with ThreadPoolExecutor(1) as thread:
+        return thread.submit(lambda: asyncio.run(all_of())).result()
 
 
 def unpacked(content):
