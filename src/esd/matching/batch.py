@@ -225,7 +225,6 @@ def match_files(
         places = {file: folder / str(number) for number, file in enumerate(files)}
         first = partial(
             _save_features_of,
-            places=places,
             model=model,
             everything=everything,
             coarse=coarse,
@@ -233,10 +232,11 @@ def match_files(
             refine=refine,
         )
         failures, left = {}, {}
-        for computed in outcomes(first, files, workers=workers):
+        for computed in outcomes(first, places.items(), workers=workers):
+            file, _ = computed.job
             if computed.failure:
-                failures[computed.job] = computed.failure_of(computed.job)
-            left[computed.job] = computed.result or ""
+                failures[file] = computed.failure_of(file)
+            left[file] = computed.result or ""
             on_step()
         sound = []
         for pair in pairs:
@@ -248,7 +248,6 @@ def match_files(
                 sound.append(pair)
         work = partial(
             _match,
-            places=places,
             model=model,
             refine=refine,
             candidates=candidates,
@@ -260,7 +259,8 @@ def match_files(
             min_confidence=min_confidence,
         )
         direct = []
-        for matched in outcomes(work, map(_Job, sound), workers=workers):
+        jobs = (_Job(pair, (places[pair.source], places[pair.target])) for pair in sound)
+        for matched in outcomes(work, jobs, workers=workers):
             on_step()
             found = matched.result or MatchedPair(matched.job.pair, failure=matched.failure)
             found = replace(found, not_repaired=_not_repaired(found.pair, left))
@@ -279,6 +279,9 @@ class _Job:
 
     Parameters
     ----------
+    places
+        Where features are kept of the source, the shapes by way of which, and the target. A job
+        has its own alone: all of a batch would go to the workers with each job.
     chain
         The shapes by way of which, both ends included; empty for a direct map.
     limit
@@ -286,6 +289,7 @@ class _Job:
     """
 
     pair: PairOfFiles
+    places: tuple[Path, ...]
     chain: tuple[Path, ...] = ()
     limit: float = np.inf
 
@@ -307,7 +311,12 @@ def _as_collection(
     before = _cycle_miss(best, files, places)
     chains = trusted_chains({p: m.expected_accuracy or 0.0 for p, m in best.items()}, len(files))
     jobs = [
-        _Job(best[pair].pair, tuple(files[i] for i in chain), best[pair].cost or np.inf)
+        _Job(
+            best[pair].pair,
+            tuple(places[files[i]] for i in chain),
+            tuple(files[i] for i in chain),
+            best[pair].cost or np.inf,
+        )
         for pair, chain in chains.items()
         if pair in best and len(chain) > 2
     ]
@@ -348,22 +357,25 @@ def _kept_map(source: Path, target: Path) -> Path:
 
 
 def _save_features_of(
-    file: Path,
+    job: tuple[Path, Path],
     *,
-    places: dict[Path, Path],
     model: Model,
     everything: bool,
     coarse: int | None,
     full: bool,
     refine: bool | None,
 ) -> str:
-    """Compute the features of a shape, write them to its folder, and say what is not repaired."""
+    """Compute the features of a shape, write them to its folder, and say what is not repaired.
+
+    The job is the file of the shape, and the folder.
+    """
+    file, place = job
     shape = prepared(file, everything=everything, coarse=coarse, full=full)
     save_features(
         working_features(
             shape, model=model, refine=refine, coarse=coarse, full=full, cache=default_cache()
         ),
-        places[file],
+        place,
     )
     return shape.not_repaired()
 
@@ -377,7 +389,6 @@ def _not_repaired(pair: PairOfFiles, left: Mapping[Path, str]) -> str:
 def _match(
     job: _Job,
     *,
-    places: dict[Path, Path],
     model: Model,
     refine: bool | None,
     candidates: Sequence[str] | None,
@@ -390,10 +401,11 @@ def _match(
 ) -> MatchedPair | None:
     """What became of a pair; None if a map by way of other shapes is no better than the direct."""
     pair = job.pair
-    source, target = load_features(places[pair.source]), load_features(places[pair.target])
+    ends = job.places[0], job.places[-1]
+    source, target = (load_features(place) for place in ends)
     landmarks, by_way = None, None
     if job.chain:
-        steps = [np.load(_kept_map(places[a], places[b])) for a, b in pairwise(job.chain)]
+        steps = [np.load(_kept_map(a, b)) for a, b in pairwise(job.places)]
         by_way = composed(steps)
     elif pair.landmarks is not None:
         read = [
@@ -419,7 +431,7 @@ def _match(
     cost = min(judged.costs.values()) if judged and judged.costs else None
     if by_way is not None and (cost is None or cost >= job.limit):
         return None
-    np.save(_kept_map(places[pair.source], places[pair.target]), found.target_index)
+    np.save(_kept_map(*ends), found.target_index)
     found = found.rejecting(threshold).confident(min_confidence)
     save_map(found, pair.output)
     return MatchedPair(
