@@ -37,7 +37,7 @@ from esd.datasets.perturb import (
 from esd.evaluation.errors import geodesic_errors
 from esd.learning.model import Model, load_model
 from esd.matching.features import shape_features
-from esd.matching.match import match_features
+from esd.matching.match import match_features, prepared, working_features
 from esd.mesh.geodesics import geodesic_diameter, geodesic_graph
 from esd.mesh.geometry import edge_lengths, surface_area
 from esd.mesh.mesh import Mesh
@@ -176,6 +176,41 @@ def with_slivers(share: float) -> Alter:
     return alter
 
 
+def in_bands(mesh: Mesh, rng: np.random.Generator) -> Altered:
+    """Five bands of equal area along the longest side, half a percent of the diagonal apart."""
+    size = np.ptp(mesh.vertices, axis=0)
+    along = size.argmax()
+    middle = mesh.vertices[mesh.faces, along].mean(axis=1)
+    band = np.digitize(middle, np.quantile(middle, [0.2, 0.4, 0.6, 0.8]))
+    index = np.full(len(mesh.vertices), -1)
+    vertices, faces, count = [], [], 0
+    for number in range(5):
+        used, corners = np.unique(mesh.faces[band == number], return_inverse=True)
+        index[used] = count + np.arange(len(used))  # on a seam, that of the upper band
+        vertices.append(mesh.vertices[used])
+        vertices[-1][:, along] += number * 0.005 * np.linalg.norm(size)
+        faces.append(corners.reshape(-1, 3) + count)
+        count += len(used)
+    return np.concatenate(vertices), np.concatenate(faces), index
+
+
+def on_the_ground(mesh: Mesh, rng: np.random.Generator) -> Altered:
+    """With a square of 40 × 40 vertices at its feet, twice as wide as it is high."""
+    size = np.ptp(mesh.vertices, axis=0)
+    up, *others = np.argsort(-size)
+    x, y = np.meshgrid(*2 * [np.linspace(-1, 1, 40)])
+    ground = np.empty((x.size, 3))
+    middle = mesh.vertices.mean(axis=0)
+    ground[:, up] = mesh.vertices[:, up].min()
+    for axis, offset in zip(others, (x, y), strict=True):
+        ground[:, axis] = middle[axis] + size[up] * offset.ravel()
+    corner = np.add.outer(40 * np.arange(39), np.arange(39)).ravel()[:, None]
+    count = len(mesh.vertices)
+    halves = (corner + count + np.array(half) for half in ([0, 1, 41], [0, 41, 40]))
+    faces = np.concatenate([mesh.faces, *halves])
+    return np.concatenate([mesh.vertices, ground]), faces, np.arange(count)
+
+
 ALTERATIONS: dict[str, Alter] = {
     FIRST: with_vertices(lambda mesh, rng: mesh.vertices),
     "rotated": with_vertices(rotated),
@@ -203,6 +238,8 @@ ALTERATIONS: dict[str, Alter] = {
     "sliver triangles, at 10 %": with_slivers(0.1),
     "dirt, 0.2 %": dirty(0.002),
     "dirt, 3 %": dirty(0.03),
+    "five bands, 0.5 % of the diagonal apart": in_bands,
+    "on a ground plane": on_the_ground,
     "triangles: even, 5,000 vertices": with_triangles(
         lambda mesh: remesh(mesh, 5000, style="even", seed=0).mesh
     ),
@@ -244,8 +281,8 @@ def rows(
     for name in alterations:
         rng = np.random.default_rng(int("".join(filter(str.isdigit, source.name))[-3:]))
         vertices, faces, index = ALTERATIONS[name](source.mesh(), rng)
-        repaired = repair((vertices, faces), restore=True)
-        features = shape_features(repaired, model=model)
+        repaired = prepared((vertices, faces))
+        features = working_features(repaired, model=model)
         found = match_features(features, clean, model=model)
         here = index[source.correspondence()[points]]
         predicted = np.where(here >= 0, found.target_index[here], -1)
