@@ -69,6 +69,22 @@ def make_inputs(where: Path) -> None:
         "text.csv": HEAD + rows + f"{count - 1},one,0,1\n",
         "columns.csv": "a,b\n1,2\n",
         "empty.csv": "",
+        "none.csv": "source,target\n" + "".join(f"{i},-1\n" for i in range(count)),
+        "sure.csv": HEAD + "".join(f"{i},{i},0,7\n" for i in range(count)),
+        "near.csv": HEAD + "".join(f"{i},{i},-1,1\n" for i in range(count)),
+        "decimal.csv": "source,target\n" + "".join(f"{i},{i}.0\n" for i in range(count)),
+        "hex.off": "OFF\n3 1 0\n0x10 0 0\n1 0 0\n0 1 0\n3 0 1 2\n",
+        "fortran.off": "OFF\n3 1 0\n1D+00 0 0\n1 0 0\n0 1 0\n3 0 1 2\n",
+        "decimal.off": TRIANGLE.replace("3 0 1 ", "3 0.0 1.0 2.0\n"),
+        "four.off": "4OFF\n3 1 0\n0 0 0 1\n1 0 0 1\n0 1 0 1\n3 0 1 2\n",
+        "binary.off": "OFF BINARY\n\0\0\0\3",
+        "edge.off": "OFF\n2 1 0\n0 0 0\n1 0 0\n2 0 1\n",
+        "comma.obj": "v 1,5 0,0 0,0\nv 0 1 0\nv 1 0 0\nf 1 2 3\n",
+        "off.stl": TRIANGLE + "2\n",
+        "off.ply": TRIANGLE + "2\n",
+        "ply.obj": "ply\nformat ascii 1.0\nelement vertex 0\nend_header\n",
+        "words.xyz": "one two three\nfour five six\n",
+        "plane.xyz": "0 0\n1 1\n2 2\n",
         "word.txt": "one\n" * 96,
         "short.txt": "1\n2\n",
         "float.txt": "1.5\n" * 96,
@@ -102,6 +118,11 @@ def make_inputs(where: Path) -> None:
     }.items():
         (where / "models" / name).mkdir(parents=True)
         (where / "models" / name / "config.json").write_text(config)
+    for name in ("wide.off", "wide.obj", "wide.csv"):
+        (where / name).write_bytes((TRIANGLE + "2\n").encode("utf-16"))
+    np.save(where / "decimal.npy", np.arange(count) * 1.0)
+    np.save(where / "huge.npy", np.full(count, 2**40))
+    np.save(where / "objects.npy", np.array([None] * count), allow_pickle=True)
     (where / "models" / "none").mkdir()
     (where / "shapeless").mkdir()
     (where / "shapeless" / "note.txt").touch()
@@ -173,6 +194,61 @@ CASES: list[tuple[tuple[str, ...], int, str]] = [
     (("doctor", "a.off", "--repair", "out/r.doc"), 1, "expected a suffix among"),
     (("doctor", "points.xyz", "--repair", "out/r.ply"), 1, "cannot be written as a mesh"),
     (("doctor", "nan.off", "--repair", "out/r.ply"), 1, "nan.off"),
+    *(
+        (("doctor", name), 1, said)
+        for name, said in (
+            ("wide.off", "is text in UTF-16; save it in UTF-8"),
+            ("wide.obj", "is text in UTF-16; save it in UTF-8"),
+            ("hex.off", "expected a number; got '0x10'"),
+            ("fortran.off", "expected a number; got '1D+00'"),
+            ("decimal.off", "expected a whole number; got '0.0'"),
+            ("four.off", "does not begin with OFF"),
+            ("binary.off", "it is binary OFF"),
+            ("edge.off", "there are no faces in it"),
+            ("comma.obj", "expected a number; got '1,5'"),
+            ("off.stl", "it is no STL file"),
+            ("off.ply", "does not begin with `ply`"),
+            ("ply.obj", "there are no vertices in it"),
+            ("words.xyz", "words.xyz"),
+            ("plane.xyz", "plane.xyz"),
+        )
+    ),
+    *(
+        (("export", "a.off", "b.off", name, "-o", "out/m.npy"), 1, said)
+        for name, said in (
+            ("sure.csv", "line 2: expected a number from 0 to 1; got '7'"),
+            ("near.csv", "line 2: expected a number from 0 to inf; got '-1'"),
+            ("decimal.csv", "line 2: expected a whole number; got '0.0'"),
+            ("wide.csv", "byte 1 of it is no text in UTF-8"),
+            ("decimal.npy", "expected integers of shape (n,), got float64"),
+            ("huge.npy", "names target vertex 1099511627776"),
+            ("objects.npy", "Python objects"),
+        )
+    ),
+    (("view", "a.off", "b.off", "none.csv", "-o", "out/v.html"), 1, "'none.csv' has no match"),
+    (
+        ("transfer", "a.off", "b.off", "none.csv", "--labels", "word.txt", "-o", "out/l.txt"),
+        1,
+        "'none.csv' has no match",
+    ),
+    (("match", "a.off", "b.off", "--candidates", "abc"), 2, "Candidates are embedding"),
+    (("match", "a.off", "b.off", "--candidates", ","), 2, "got none"),
+    (("batch", "pairs.csv", "--candidates", "abc"), 2, "Candidates are embedding"),
+    (("match", "a.off", "b.off", "-m", "hks", "--adapt", "-o", "out/m.csv"), 1, "cannot learn"),
+    (("match", "a.off", "b.off", "-m", "", "-o", "out/m.csv"), 1, "There is no model ''"),
+    (("match", "a.off", "b.off", "-o", "/proc/m.csv"), 1, "cannot be written"),
+    (("register", "a.off", "missing.off", "-o", "out/r.ply"), 1, "There is no file"),
+    (("register", "a.off", "b.off", "-o", "out/r.doc"), 1, "expected a suffix among"),
+    (("register", "a.off", "b.off", "-o", "a.off", "--force"), 1, "is read by this command"),
+    (("atlas", "missing", "-o", "out/a"), 1, "There is no data set 'missing'"),
+    (("atlas", "shapeless", "-o", "out/a"), 1, "There is no mesh in"),
+    (("atlas", "set", "-o", "set", "--force"), 1, "lie one in the other"),
+    (("studio", "missing.off", "--no-browser"), 1, "There is no file 'missing.off'"),
+    (("studio", "--port", "99999"), 2, "--port"),
+    (("evaluate", "set", "-m", "hks", "--rotate", "x"), 2, "--rotate"),
+    (("train", "set", "--steps", "1e3"), 2, "--steps"),
+    (("cache", "now"), 2, "now"),
+    (("data", "list", "set"), 1, "There is no sequence of Dyna or D-FAUST"),
     (("match", "small.off", "a.off", "-m", "hks", "-o", "out/m.csv"), 1, "small.off"),
     (("match", "a.off", "b.off", "-m", "no-model", "-o", "out/m.csv"), 1, "no-model"),
     (("match", "a.off", "b.off", "-o", "out/m.doc"), 1, "a map's file ends in"),

@@ -12,6 +12,9 @@ from esd.parallel import Workers
 def test_names_of_candidates_are_cut_at_commas():
     assert candidate_names(None) is None
     assert candidate_names("embedding, extrinsic") == ("embedding", "extrinsic")
+    with pytest.raises(typer.BadParameter, match=r"Candidates are .*; got landmarks"):
+        candidate_names("landmarks+extrinsic")
+    assert candidate_names("landmarks+extrinsic", landmarks=True) == ("landmarks+extrinsic",)
 
 
 def test_options_that_exclude_each_other_are_wrong_usage():

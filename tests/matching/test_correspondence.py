@@ -158,3 +158,21 @@ def test_a_correspondence_shows_itself():
     unknown = np.full(3, np.nan)
     assert "confidence" not in Correspondence(match.target_index, unknown, unknown)._repr_html_()
     assert set(match.attributes()) == {"target", "distance", "confidence"}
+
+
+@pytest.mark.parametrize("between", [";", "\t"])
+def test_maps_of_spreadsheets_have_other_signs_between_columns(tmp_path, between):
+    lines = ["source,target,distance,confidence", "1,0,0.5,1", "0,2,1e-3,0.25"]
+    (tmp_path / "m.csv").write_text("\n".join([*lines, ""]).replace(",", between))
+    found = load_map(tmp_path / "m.csv")
+    np.testing.assert_array_equal(found.target_index, [2, 0])
+    np.testing.assert_array_equal(found.confidence, [0.25, 1])
+
+
+def test_maps_with_impossible_confidences_are_refused(tmp_path):
+    for cell in ("7", "-0.1", "inf"):
+        (tmp_path / "m.csv").write_text(f"source,target,distance,confidence\n0,0,0,{cell}\n")
+        with pytest.raises(
+            InputError, match=f"line 2: expected a number from 0 to 1; got '{cell}'"
+        ):
+            load_map(tmp_path / "m.csv")

@@ -91,6 +91,7 @@ def batch(
     from esd.matching.batch import CollectionReport, match_files, read_pairs_of_files
 
     check_coarse(coarse, one_to_one=one_to_one, full=full)
+    chosen_from = candidate_names(candidates, landmarks=True)
     computing = workers_of(workers, scheduler, patience)
     start = time.perf_counter()
     if scheduler:  # its workers may run in other folders
@@ -113,7 +114,7 @@ def batch(
             listed,
             model=loaded,
             refine=refine,
-            candidates=candidate_names(candidates),
+            candidates=chosen_from,
             mirror=mirror.value,
             scale=scale.value,
             adapt=adapt,

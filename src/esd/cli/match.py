@@ -97,6 +97,7 @@ def match(
     from esd.spectral.cache import default_cache
 
     check_coarse(coarse, one_to_one=one_to_one, full=full)
+    chosen_from = candidate_names(candidates, landmarks=bool(landmarks))
     start = time.perf_counter()
     inputs = [source, target, *(landmarks or [])]
     path = check_map_path(output or Path(f"{source.stem}-{target.stem}.csv"))
@@ -124,7 +125,7 @@ def match(
                 model=loaded,
                 refine=refine,
                 one_to_one=one_to_one,
-                candidates=candidate_names(candidates),
+                candidates=chosen_from,
                 landmarks=pairs,
                 mirror=mirror.value,
                 scale=scale.value,

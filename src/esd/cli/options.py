@@ -169,9 +169,19 @@ ScaleOption = Annotated[
 JsonOption = Annotated[bool, typer.Option("--json", help="Print a summary as JSON.")]
 
 
-def candidate_names(text: str | None) -> tuple[str, ...] | None:
-    """The names in the text of `--candidates`."""
-    return None if text is None else tuple(name.strip() for name in text.split(","))
+def candidate_names(text: str | None, *, landmarks: bool = False) -> tuple[str, ...] | None:
+    """The names in the text of `--candidates`; wrong usage if one is unknown."""
+    from esd.common import InputError
+    from esd.matching.choice import check_candidates
+
+    if text is None:
+        return None
+    try:
+        return check_candidates(
+            [name.strip() for name in text.split(",") if name.strip()], landmarks=landmarks
+        )
+    except InputError as error:
+        raise typer.BadParameter(str(error), param_hint="--candidates") from error
 
 
 def check_coarse(coarse: int | None, *, one_to_one: bool, full: bool) -> None:

@@ -11,6 +11,7 @@ from esd.cli.output import about
 
 if TYPE_CHECKING:
     from esd.common import IntArray
+    from esd.matching.correspondence import Correspondence
     from esd.mesh.convert import MeshLike
     from esd.mesh.mesh import Mesh, PointCloud
 
@@ -43,6 +44,23 @@ def read_drawable(path: Path) -> Mesh:
         if not surface_area(mesh) > 0:
             raise InputError("Its faces have no area; a surface is needed.")
         return mesh
+
+
+def read_map(path: Path, *, source_count: int, target_count: int) -> Correspondence:
+    """The map in a file, for meshes of some numbers of vertices.
+
+    Raises
+    ------
+    InputError
+        If it is damaged, fits other meshes, or has no match.
+    """
+    from esd.common import InputError
+    from esd.matching.correspondence import load_map
+
+    found = load_map(path, source_count=source_count, target_count=target_count)
+    if not found.is_matched().any():
+        raise InputError(f"'{path}' has no match: all its vertices are without one.")
+    return found
 
 
 def landmark_pairs(

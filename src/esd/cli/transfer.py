@@ -11,7 +11,7 @@ import typer
 from esd.cli.options import ForceOption, MapArgument, SourceArgument, TargetArgument
 from esd.cli.output import about, destination, tell
 from esd.cli.progress import progress
-from esd.cli.shapes import read_drawable, read_shape
+from esd.cli.shapes import read_drawable, read_map, read_shape
 
 if TYPE_CHECKING:
     from esd.matching.correspondence import Correspondence
@@ -63,7 +63,6 @@ def transfer(
 
     Give one of --texture, --vertex-colors, --labels, --values, --landmarks and --morph.
     """
-    from esd.matching.correspondence import load_map
     from esd.mesh.convert import as_arrays
 
     wanted = {
@@ -91,7 +90,7 @@ def transfer(
         for file in (source, target):
             with about(file):
                 counts.append(len(as_arrays(file)[0]))
-        match = load_map(map, source_count=counts[0], target_count=counts[1])
+        match = read_map(map, source_count=counts[0], target_count=counts[1])
         if landmarks:
             _transfer_landmarks(landmarks, source, target, match, path)
         elif morph:

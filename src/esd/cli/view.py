@@ -18,7 +18,7 @@ from esd.cli.options import (
 )
 from esd.cli.output import destination, tell
 from esd.cli.progress import progress
-from esd.cli.shapes import read_drawable
+from esd.cli.shapes import read_drawable, read_map
 
 if TYPE_CHECKING:
     from esd.common import FloatArray
@@ -47,7 +47,6 @@ def view(
 
     The page needs no network. Point at a shape to see the match; press ? for its keys.
     """
-    from esd.matching.correspondence import load_map
     from esd.viewing.page import check_page_path
     from esd.viewing.scene import AXES
 
@@ -63,7 +62,7 @@ def view(
         "source_count": len(source_mesh.vertices),
         "target_count": len(target_mesh.vertices),
     }
-    match = load_map(map, **counts)
+    match = read_map(map, **counts)
     with progress("drawing"):
         error = true_error(source_mesh, target_mesh, match, truth, points)
         write_page((source, source_mesh), (target, target_mesh), match, path, error=error, up=up)

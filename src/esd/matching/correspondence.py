@@ -232,6 +232,14 @@ def _parse(path: Path) -> tuple[IntArray, FloatArray, FloatArray]:
     return index, np.full(len(index), np.nan), np.full(len(index), np.nan)
 
 
+def _number(cell: str | None, *, least: float, most: float = np.inf) -> float:
+    """The number in a cell of a table, within bounds; NaN where there is none."""
+    value = float(cell or "nan")
+    if value < least or value > most:
+        raise InputError(f"expected a number from {least:g} to {most:g}; got '{cell}'")
+    return value
+
+
 def _numbers(text: str) -> IntArray:
     """Whole numbers with white space between."""
     try:
@@ -262,7 +270,10 @@ def _whole_text(path: Path) -> str:
 
 def _parse_table(path: Path) -> tuple[IntArray, FloatArray, FloatArray]:
     """The columns of a `.csv` file in the order of the source vertices."""
-    rows = list(csv.DictReader(io.StringIO(_whole_text(path)), skipinitialspace=True))
+    text = _whole_text(path)
+    # spreadsheets separate columns by semicolons where the comma is in numbers, or by tabs
+    between = max(",;\t", key=text.partition("\n")[0].count)
+    rows = list(csv.DictReader(io.StringIO(text), skipinitialspace=True, delimiter=between))
     if not rows or not {"source", "target"} <= set(rows[0]):
         raise InputError("expected the columns source,target,distance,confidence")
     source, target, distance, confidence = [], [], [], []
@@ -270,8 +281,8 @@ def _parse_table(path: Path) -> tuple[IntArray, FloatArray, FloatArray]:
         for row in rows:
             source.append(whole_number(row["source"]))
             target.append(whole_number(row["target"]))
-            distance.append(float(row.get("distance") or "nan"))
-            confidence.append(float(row.get("confidence") or "nan"))
+            distance.append(_number(row.get("distance"), least=0.0))
+            confidence.append(_number(row.get("confidence"), least=0.0, most=1.0))
     except (InputError, TypeError, ValueError) as error:
         # line 1 holds the names of the columns; the last list grows only with whole lines
         raise InputError(f"line {len(confidence) + 2}: {error}") from error

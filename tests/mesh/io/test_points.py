@@ -39,3 +39,17 @@ def test_clouds_that_cannot_be_used_are_refused(tmp_path, content, message):
     (tmp_path / "m.pcd").write_bytes(content)
     with pytest.raises(InputError, match=rf"m.pcd': .*{message}"):
         read_arrays(tmp_path / "m.pcd")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "1,2.5,3\n4,5,6\n",
+        "1;2,5;3\n4;5;6\n",
+        "x y z\n1 2.5 3\n4 5 6\n",
+        "x, y, z\n1, 2.5, 3\n4, 5, 6",
+    ],
+)
+def test_points_of_spreadsheets_have_other_signs_between_numbers(tmp_path, text):
+    (tmp_path / "p.xyz").write_text(text)
+    np.testing.assert_array_equal(read_arrays(tmp_path / "p.xyz")[0], [[1, 2.5, 3], [4, 5, 6]])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import gzip
 import logging
 import os
@@ -25,6 +26,7 @@ from esd.mesh.io.polydata import is_legacy_polydata, read_legacy, read_vtp
 from esd.mesh.io.stl import read_stl, stl_bytes
 from esd.mesh.mesh import Mesh
 
+_TEXTS = (".off", ".obj", ".gltf", ".xyz", ".vtk")
 _LARGEST_FILE = 2**32
 _LARGEST_UNPACKED = 2**30
 _BLOCK = 2**20
@@ -163,6 +165,10 @@ def read_arrays(path: str | os.PathLike[str]) -> tuple[npt.NDArray[Any], npt.NDA
     existing_file(path)
     if path.stat().st_size > _LARGEST_FILE:
         raise InputError(f"'{path}' is larger than 4 GiB; simplify the mesh first.")
+    if suffix in _TEXTS:
+        with path.open("rb") as file:
+            if file.read(2) in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
+                raise InputError(f"'{path}' is text in UTF-16; save it in UTF-8 or ASCII.")
     read = (_MESH_FORMATS | _POINT_FORMATS)[suffix].read
     try:
         vertices, faces, polygons = _unpacked(path, read) if is_packed else read(path)
