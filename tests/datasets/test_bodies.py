@@ -1,9 +1,6 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from esd.common import InputError
 from esd.datasets.bodies import (
     PARTS,
     TESTING_SUBJECTS,
@@ -13,10 +10,6 @@ from esd.datasets.bodies import (
     mirrored_points,
     part_labels,
 )
-from esd.datasets.body_pack import posed, read_pack, sampled, skinned, write_pack
-from esd.datasets.collection import Collection, Shape
-from esd.datasets.export import export_folder, labels_on
-from esd.datasets.folder import folder_collection, read_vts
 from esd.mesh.geometry import (
     components,
     edges,
@@ -24,9 +17,7 @@ from esd.mesh.geometry import (
     is_consistently_oriented,
 )
 from esd.mesh.mesh import Mesh
-from esd.mesh.shapes import icosphere
 from esd.mesh.topology import boundary_edges
-from esd.parallel import THIS_PROCESS
 from measures import signed_volume
 
 
@@ -47,17 +38,6 @@ def test_there_are_ten_poses_of_each_subject_and_no_subject_on_both_sides(regist
     assert len(TESTING_SUBJECTS) == 4
     assert len(registered.shapes) == len({s.name for s in registered.shapes}) == 140
     assert registered["s03_p07"].subject == "s03"
-
-
-def test_reading_agrees_with_the_model_to_a_twentieth_of_a_millimetre():
-    pack = _pack()
-    subjects, poses, count, _ = pack.samples.shape
-    assert (subjects, poses) == (14, 10)
-    vertex = sampled(pack.rest.shape[1], count=count)
-    for subject in range(subjects):
-        for pose in range(poses):
-            found = posed(pack, subject=subject, pose=pose)[vertex]
-            assert np.abs(found - pack.samples[subject, pose]).max() < 5e-5
 
 
 def test_bodies_are_closed_surfaces_of_people_standing_on_the_floor(registered):
@@ -91,15 +71,6 @@ def test_every_subject_takes_poses_of_its_own():
         assert apart[~np.eye(14, dtype=bool)].min() > 0.05
 
 
-def test_skinning_by_one_motion_moves_rigidly():
-    random = np.random.default_rng(0)
-    points, weights = random.normal(size=(50, 3)), random.dirichlet(np.ones(4), size=50)
-    turn, _ = np.linalg.qr(random.normal(size=(3, 3)))
-    motion = np.concatenate([turn, [[1.0], [2.0], [3.0]]], axis=1)
-    moved = skinned(points, weights, np.tile(motion, (4, 1, 1)))
-    assert np.allclose(moved, points @ turn.T + [1, 2, 3])
-
-
 def test_the_mirror_is_an_exact_symmetry_of_the_template():
     pack, mirror = _pack(), mirrored_points()
     assert (mirror[mirror] == np.arange(len(mirror))).all()
@@ -127,28 +98,6 @@ def test_parts_are_where_they_belong():
     assert middle["left hand"][0] > middle["left arm"][0] > middle["torso"][0]
     assert middle["left foot"][0] > 0 > middle["right foot"][0]
     assert middle["head"][2] > middle["torso"][2] > middle["left leg"][2] > middle["left foot"][2]
-
-
-def test_packs_survive_writing(tmp_path):
-    pack = _pack()
-    first, second = tmp_path / "first.npz", tmp_path / "second.npz"
-    write_pack(pack, first)
-    write_pack(pack, second)
-    assert first.read_bytes() == second.read_bytes()
-    again = read_pack(first)
-    # coordinates and motions are on their grids already; weights are rounded to 24 bits
-    assert (again.rest == pack.rest).all()
-    assert (again.motions == pack.motions).all()
-    assert (again.faces == pack.faces).all()
-    assert (again.mirror == pack.mirror).all()
-    assert (again.parts == pack.parts).all()
-    assert np.abs(again.weights - pack.weights).max() < 2e-7
-
-
-def test_a_pack_that_reaches_too_far_is_refused(tmp_path):
-    pack = _pack()
-    with pytest.raises(InputError, match=r"within 1.3 m"):
-        write_pack(replace(pack, rest=2 * pack.rest), tmp_path / "far.npz")
 
 
 def test_remeshed_bodies_are_closed_and_of_different_connectivity(remeshed):
@@ -189,65 +138,3 @@ def test_remeshing_is_the_same_in_each_call_and_follows_the_seed():
     assert first.vertices.shape != other.vertices.shape or (
         (first.vertices != other.vertices).any()
     )
-
-
-def test_export_and_reading_the_folder_are_inverse(tmp_path, remeshed):
-    some = remeshed.including("s0[12]_p03")
-    export_folder(some, tmp_path / "out", part_names=PARTS, part_labels=part_labels())
-    found = folder_collection(tmp_path / "out")
-    assert [s.name for s in found.shapes] == [s.name for s in some.shapes]
-    assert found.subjects == some.subjects
-    for one, two in zip(found.shapes, some.shapes, strict=True):
-        # metres; some digits of small numbers are lost in text
-        assert np.abs(one.mesh().vertices - two.mesh().vertices).max() < 1e-15
-        assert (one.mesh().faces == two.mesh().faces).all()
-        assert (one.correspondence() == two.correspondence()).all()
-        assert (one.symmetric() == two.symmetric()).all()
-        labels = np.loadtxt(tmp_path / "out" / "parts" / f"{one.name}.txt", dtype=int)
-        assert (labels == labels_on(two, part_labels())).all()
-        # points of two parts may share a vertex, of which there are few, and it has one label
-        assert (one.parts() == two.parts()).mean() > 0.95
-    names = (tmp_path / "out" / "parts" / "names.txt").read_text().splitlines()
-    assert tuple(names) == PARTS
-
-
-def test_export_counts_vertices_from_one_and_writes_only_what_is_known(tmp_path):
-    ball = icosphere(1)
-    shape = Shape("ball", "ball", "ball", lambda: ball, lambda: np.arange(5))
-    export_folder(Collection("balls", (shape,)), tmp_path / "out", suffix=".ply")
-    assert (tmp_path / "out/corres/ball.vts").read_text() == "1\n2\n3\n4\n5\n"
-    assert (read_vts(tmp_path / "out/corres/ball.vts") == np.arange(5)).all()
-    assert (tmp_path / "out/shapes/ball.ply").is_file()
-    assert not (tmp_path / "out/corres/ball.sym.vts").exists()
-    assert not (tmp_path / "out/parts").exists()
-
-
-def test_export_names_what_it_cannot_write(tmp_path):
-    ball = icosphere(1)
-    shape = Shape("ball", "ball", "ball", lambda: ball, lambda: np.array([3, -1]))
-    collection = Collection("balls", (shape,))
-    with pytest.raises(InputError, match=r"must be one of .*; got '.xyz'"):
-        export_folder(collection, tmp_path / "out", suffix=".xyz")
-    missing = replace(shape, correspondence=lambda: np.full(2, 99))
-    with pytest.raises(InputError, match="'ball': IndexError"):
-        export_folder(
-            Collection("balls", (missing,)), tmp_path / "no", part_labels=np.zeros(2, dtype=int)
-        )
-    export_folder(collection, tmp_path / "out", workers=THIS_PROCESS)
-    back = folder_collection(tmp_path / "out")["ball"].correspondence()
-    np.testing.assert_array_equal(back, [3, -1])
-    with pytest.raises(InputError, match="a label for each of the 2 points"):
-        labels_on(shape, np.zeros(3, dtype=np.int64))
-    (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="cannot be written to"):
-        export_folder(collection, tmp_path / "file")
-
-
-def test_labels_of_vertices_without_a_point_are_those_of_the_nearest():
-    ball = icosphere(2)
-    poles = np.array([ball.vertices[:, 2].argmin(), -1, ball.vertices[:, 2].argmax()])
-    shape = Shape("ball", "ball", "ball", lambda: ball, lambda: poles)
-    found = labels_on(shape, np.array([4, 5, 6]))
-    north = ball.vertices[:, 2] > 0.1
-    assert (found[north] == 6).all()
-    assert (found[ball.vertices[:, 2] < -0.1] == 4).all()
