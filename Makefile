@@ -22,10 +22,10 @@ check: .venv/dev
 docs: .venv/dev
 	$(BIN)/mkdocs build --strict
 
-# the tables of the docs; some minutes on an idle machine
+# the tables of the docs, beside other packages; a quarter of an hour on two idle cores
 bench: .venv/dev
-	for question in eigensolver descriptors refinement match growth; do \
-	  echo "$$question:"; $(BIN)/python benchmarks/$$question.py || exit 1; \
+	for question in 'eigensolver --rounds 2' 'descriptors --rounds 2' refinement match growth; do \
+	  set -- $$question; echo "$$1:"; $(BIN)/python benchmarks/$$1.py $$2 $$3 || exit 1; \
 	done
 
 .venv/demo: pyproject.toml constraints.txt

@@ -1,7 +1,7 @@
 """Time, memory and accuracy as meshes become dense: full maps, maps by coarse copies, pyFM.
 
     python benchmarks/growth.py                                     # 5k to 80k vertices
-    python benchmarks/growth.py --subdivide 4 --methods coarse      # 1.3 million
+    python benchmarks/growth.py --subdivide 4 --methods esd         # 1.3 million
 
 Two bodies, each face cut in four again and again; the truth is known at the first vertices. Each
 run is a process of its own, from two files to a map, with an empty cache. The error is the mean
@@ -30,16 +30,16 @@ from esd.mesh.shapes import subdivide
 
 METHODS = {
     "pyfm": "pyFM, 300 eigenpairs, ZoomOut to 300",
-    "full": "`esd match`",
-    "coarse": "`esd match --coarse 10000`",
+    "esd": "`esd match`",
+    "full": "`esd match --full`",
 }
-LIMITS = {"pyfm": 30_000, "full": 100_000, "coarse": 3_000_000}
+LIMITS = {"pyfm": 30_000, "esd": 3_000_000, "full": 100_000}
 
 
 def command(method: str, files: list[Path], output: Path) -> list[str]:
     if method == "pyfm":
         return job("pyfm", "match", *files, output, 300)
-    more = ["--coarse", 10_000] if method == "coarse" else []
+    more = ["--full"] if method == "full" else []
     return esd_command("match", *files, "-o", output, "--force", *more)
 
 

@@ -21,6 +21,7 @@ from measure import cost, job, row, table
 from esd.datasets.open import open_collection
 from esd.evaluation.errors import geodesic_errors
 from esd.learning.model import load_model
+from esd.matching.local_refine import levels, local_zoomout
 from esd.matching.refine import zoomout
 from esd.mesh.geodesics import geodesic_graph
 from esd.mesh.geometry import surface_area
@@ -34,11 +35,12 @@ WAYS = [
     "pyFM, ZoomOut, 30 to 300 by 10",
     "`esd`, the same steps",
     "`esd`, six sizes",
-    "`esd`, six sizes, embedding beside (default)",
+    "`esd`, six sizes, embedding beside",
+    "`esd`, the same on samples and nearby (default)",
 ]
 
 
-def refined(way, spectra, rows, first, folder):
+def refined(way, spectra, meshes, rows, first, folder):
     """The map refined in one of the `WAYS`, and the seconds that took."""
     if way == "none":
         return first, 0.0
@@ -49,7 +51,15 @@ def refined(way, spectra, rows, first, folder):
         np.save(files[2], first)
         done = cost(job("pyfm", "refine", *files))
         return np.load(files[3]), float(done.output)
-    how = {"sizes": STEPS} if "same" in way else {}
+    if way.endswith("(default)"):
+        start, count = time.process_time(), max(map(len, rows))
+        both = [
+            levels(spectrum, mesh.vertices, count=count)
+            for spectrum, mesh in zip(spectra, meshes, strict=True)
+        ]
+        index, _ = local_zoomout(*both, rows, embeddings=rows)
+        return index, time.process_time() - start
+    how = {"sizes": STEPS} if "same steps" in way else {}
     if "beside" in way:
         how["embeddings"] = rows
     start = time.process_time()
@@ -75,7 +85,7 @@ def main() -> None:
         here, there = (shape.correspondence() for shape in shapes)
         with tempfile.TemporaryDirectory() as name:
             for way in WAYS * options.rounds:
-                index, spent = refined(way, spectra, rows, first, Path(name))
+                index, spent = refined(way, spectra, meshes, rows, first, Path(name))
                 (error,) = geodesic_errors(graph, index[here], (there,))
                 seconds.setdefault(way, []).append(spent)
                 errors.setdefault(way, []).append(error.mean() / scale)
