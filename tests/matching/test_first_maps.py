@@ -73,3 +73,14 @@ def test_of_many_shapes_those_with_similar_spectra_and_some_others_are_mapped():
     graph = np.zeros((60, 60))
     graph[tuple(np.transpose(pairs))] = 1
     assert csgraph.connected_components(graph, directed=False)[0] == 1
+
+
+def test_a_mirrored_shape_is_connected_to_none(collection):
+    mesh = knobbed(3)
+    image = Mesh(mesh.vertices * [-1, 1, 1], mesh.faces[:, ::-1])
+    some = Collection("mirrored", (*collection.shapes[:2], shape("mirrored", image)))
+    samples = collection_samples(
+        some, recipe=RECIPE, points=300, eigenfunctions=40, copies=0
+    ).samples
+    found = first_maps(samples, some, RECIPE)
+    assert found.pairs() == [(0, 1)]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from importlib.util import find_spec
 
 import numpy as np
@@ -87,7 +86,7 @@ def adapted_model(
         for i, each in enumerate((source, target))
     ]
     first = _lesson(before.candidate, samples[0], samples[1])
-    other = adapted(model, samples[0].samples, samples[1].samples, first=first, seed=seed)
+    other = adapted(model, samples[0], samples[1], first=first, seed=seed)
     pairs = [(source, target), (source.embedded_by(other), target.embedded_by(other))]
     after = chosen(*pairs[1], names=names, landmarks=landmarks)
     costs = [_mean_cost(each.candidate, pairs) for each in (before, after)]
@@ -96,17 +95,9 @@ def adapted_model(
     return (other if is_kept else model), found
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Sampled:
-    """Samples of a shape, and the vertices, (p,), that they are."""
-
-    samples: Samples
-    vertices: IntArray
-
-
 def _samples(
     features: Features, marks: IntArray, *, model: Model, seed: int, cache: Cache | None
-) -> _Sampled:
+) -> Samples:
     """Samples by area of a mesh and of its deformed copies, without what fills holes.
 
     First come the landmarks, vertices (l,), by the order of which they are named.
@@ -135,28 +126,25 @@ def _samples(
     known = {str(i): i for i in range(len(marks))}
     distances = geodesic_graph(mesh).distances(marks)[:, vertices] / scale if known else ()
     spectrum = features.spectrum.with_area(1.0)
-    return _Sampled(
-        Samples(
-            name="",
-            values=values,
-            eigenvectors=spectrum.eigenvectors[vertices, :_EIGENFUNCTIONS].astype(np.float32),
-            positions=(mesh.vertices[vertices] / scale).astype(np.float32),
-            normals=vertex_normals(mesh)[vertices].astype(np.float32),
-            vertices=vertices,
-            known=known,
-            closeness=dict(zip(known, map(closeness, distances), strict=True)),
-        ),
-        vertices,
+    return Samples(
+        name="",
+        values=values,
+        eigenvectors=spectrum.eigenvectors[vertices, :_EIGENFUNCTIONS].astype(np.float32),
+        positions=(mesh.vertices[vertices] / scale).astype(np.float32),
+        normals=vertex_normals(mesh)[vertices].astype(np.float32),
+        vertices=vertices,
+        known=known,
+        closeness=dict(zip(known, map(closeness, distances), strict=True)),
     )
 
 
-def _lesson(candidate: Candidate, source: _Sampled, target: _Sampled) -> Lesson:
+def _lesson(candidate: Candidate, source: Samples, target: Samples) -> Lesson:
     """The reliable matches between samples of a candidate's map."""
     here, there = source.vertices, target.vertices
     forth, _ = nearest(candidate.forward[0][here], candidate.forward[1][there])
     back, _ = nearest(candidate.backward[1][there], candidate.backward[0][here])
     rows = np.arange(len(here)), np.arange(len(there))
-    return sifted(source.samples, target.samples, rows, forth, back)
+    return sifted(source, target, rows, forth, back)
 
 
 def _mean_cost(candidate: Candidate, pairs: Sequence[tuple[Features, Features]]) -> float:
