@@ -210,20 +210,10 @@ def repair(
     if "ground_planes" in done:
         mesh = replace(mesh, faces=mesh.faces[~is_ground(mesh)])
     whole, outward = mesh, oriented_outward(mesh)
-    is_kept = np.ones(len(mesh.faces), dtype=bool) if all_pieces else piece_of_faces(mesh) == 0
-    mesh = replace(outward, faces=outward.faces[is_kept])
-    left_out = _pieces_left_out(whole, mesh, index)
-    around = surface_around(outward, _AROUND) if together and left_out[2] >= _LOST else None
-    if around is not None:
-        within = pieces_within(outward, around)
-        several = replace(outward, faces=outward.faces[within])
-        of_several = _pieces_left_out(whole, several, index)
-        if of_several[2] <= left_out[2] - _LOST:
-            mesh, is_kept, left_out = several, within, of_several
-            done -= FILLED_AND_SMOOTHED
-        else:
-            around = None
-    index, stand_in, lost = left_out
+    chosen = _pieces_chosen(whole, outward, index, all_pieces=all_pieces, together=together)
+    if chosen.around is not None:
+        done -= FILLED_AND_SMOOTHED
+    mesh = replace(outward, faces=outward.faces[chosen.faces])
     on_rim = np.zeros(0, dtype=np.int64)
     if "holes" in done:
         mesh, on_rim = holes_filled(mesh, shorter_than=SMALL_HOLE)
@@ -234,15 +224,15 @@ def repair(
     return Repaired(
         mesh,
         positions,
-        index,
+        chosen.index,
         original,
-        stand_in,
+        chosen.stand_in,
         diagnosis,
         frozenset(done),
         filling=len(on_rim),
-        is_flipped=_flipped_share(whole, outward, is_kept) > _FLIPPED,
-        lost=lost,
-        around=around,
+        is_flipped=_flipped_share(whole, outward, chosen.faces) > _FLIPPED,
+        lost=chosen.lost,
+        around=chosen.around,
     )
 
 
@@ -279,13 +269,50 @@ def _flipped_share(before: Mesh, after: Mesh, is_kept: BoolArray) -> float:
     return float(area[flipped].sum() / max(area.sum(), np.finfo(float).tiny))
 
 
-def _pieces_left_out(whole: Mesh, mesh: Mesh, index: IntArray) -> tuple[IntArray, IntArray, float]:
-    """What became of vertices, (n,), when pieces of the whole were left out of a mesh.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pieces:
+    """Which pieces of a mesh are kept.
 
-    Returns `index` with -1 for those of these pieces and those without a face, the stand-ins of
-    the former, and the share of the vertices with a face that have neither.
+    Parameters
+    ----------
+    faces : (m,)
+        Whether each face is.
+    index : (n,)
+        What each original vertex became, with -1 for those of other pieces and without a face.
+    stand_in, lost
+        Of the vertices on other pieces, see `Repaired`.
+    around
+        The closed surface around those that are kept, if they are several that touch.
     """
-    kept = is_referenced(mesh)
+
+    faces: BoolArray
+    index: IntArray
+    stand_in: IntArray
+    lost: float
+    around: Mesh | None = None
+
+
+def _pieces_chosen(
+    whole: Mesh, outward: Mesh, index: IntArray, *, all_pieces: bool, together: bool
+) -> _Pieces:
+    """The pieces that are kept of a mesh, whose faces are oriented outward in `outward`."""
+    if all_pieces:
+        return _pieces_of(whole, np.ones(len(whole.faces), dtype=bool), index)
+    largest = _pieces_of(whole, piece_of_faces(whole) == 0, index)
+    if not together or largest.lost < _LOST:
+        return largest
+    around = surface_around(outward, _AROUND)
+    if around is None:
+        return largest
+    several = _pieces_of(whole, pieces_within(outward, around), index)
+    if several.lost > largest.lost - _LOST:
+        return largest
+    return replace(several, around=around)
+
+
+def _pieces_of(whole: Mesh, faces: BoolArray, index: IntArray) -> _Pieces:
+    """What becomes of the original vertices, (n,), if some faces, (m,), of the whole are kept."""
+    kept = is_referenced(replace(whole, faces=whole.faces[faces]))
     has_face = (index >= 0) & is_referenced(whole)[index]
     is_dropped = has_face & ~kept[index]
     stand_in = np.full(len(index), -1)
@@ -293,7 +320,7 @@ def _pieces_left_out(whole: Mesh, mesh: Mesh, index: IntArray) -> tuple[IntArray
         whole.vertices, kept=np.flatnonzero(kept), dropped=index[is_dropped]
     )
     lost = float((is_dropped & (stand_in < 0)).sum() / max(1, has_face.sum()))
-    return np.where(has_face & ~is_dropped, index, -1), stand_in, lost
+    return _Pieces(faces, np.where(has_face & ~is_dropped, index, -1), stand_in, lost)
 
 
 def _is_large_hole(finding: Finding) -> bool:
