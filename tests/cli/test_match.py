@@ -6,7 +6,10 @@ from pathlib import Path
 import numpy as np
 
 from command import run
+from esd.datasets.bodies import bodies
+from esd.datasets.parts import part_of
 from esd.mesh.io.meshes import write_mesh
+from esd.mesh.mesh import Mesh
 from esd.mesh.shapes import icosphere, torus
 
 
@@ -109,3 +112,24 @@ def test_broken_meshes_are_shown_with_the_vertices_of_their_files(run_here, tmp_
     done = run_here("match", "points.xyz", "a.off", "-m", "hks", "--view", where=tmp_path, expect=1)
     assert "There is no face between finite vertices; a surface is needed" in done.stderr
     assert not (tmp_path / "points-a.csv").exists()
+
+
+def test_parts_are_matched_at_the_scale_asked_for(tmp_path):
+    by_name = {shape.name: shape for shape in bodies().shapes}
+    whole = by_name["s11_p02"].mesh()
+    part = part_of(by_name["s10_p01"].mesh(), "cut of 35 %", seed=3).mesh
+    write_mesh(whole, tmp_path / "whole.ply")
+    write_mesh(Mesh(1000 * part.vertices, part.faces), tmp_path / "part.ply")
+    files = tmp_path / "whole.ply", tmp_path / "part.ply"
+    options = "-o", tmp_path / "m.npy", "--candidates", "part", "--scale", "free"
+    done = run("match", *files, *options, "--json")
+    found = json.loads(done.stdout)
+    assert found["candidate"] == "part"
+    assert 0.0007 < found["overlap"]["scale"] < 0.0014
+    assert 0.4 < found["overlap"]["source"] < 0.9
+    assert found["matched"] == (np.load(tmp_path / "m.npy") >= 0).sum() < len(whole.vertices)
+    done = run("match", *files, *options, "--force")
+    assert (
+        "of the source has a counterpart; the shapes were taken to be of different" in done.stdout
+    )
+    run("match", *files, "--scale", "wide", expect=2)

@@ -27,7 +27,7 @@ _LOGISTIC = (-5.33, -1.47, -0.82)  # constant, and factors of the two logarithms
 _JUDGED = (-1.648, -0.336, -0.241, 1.028)  # the same, and the factor of the logit of the accuracy
 _ORIENTED = 0.3  # orientation that a map needs to be good; of mirrored ones below the negative
 _WORTH_SAYING = 0.01  # share of a shape that is unmatched
-_SAME_UNIT = 1e-6  # logarithm of a ratio of scales that is rounding
+_SAME_UNIT = 0.15  # logarithm of a ratio of lengths within which one unit is taken: people differ
 _GOOD, _FAILED = 0.9, 0.5  # expected shares of vertices within 5 % of the diameter
 
 ADVICE = {
@@ -80,7 +80,7 @@ class Overlap:
     source
         Share of the source's area that has a counterpart.
     scale
-        Units of length of the source in one of the target, as they were taken to be.
+        Length in the source that is 1 in the target, as it was taken to be.
     consistent
         Share of the smaller shape's area that the map takes there and back, see
         `esd.matching.partial.consistent_share`.
@@ -94,7 +94,7 @@ class Overlap:
         """What it means, in words."""
         unit = "of one unit of length"
         if abs(np.log(self.scale)) > _SAME_UNIT:
-            unit = f"of different units: one of the target is {self.scale:.3g} of the source"
+            unit = f"of different units, a length of 1 in the target {self.scale:.3g} in the source"
         return (
             f"Partial: about {self.source:.0%} of the source has a counterpart; the shapes were "
             f"taken to be {unit}."

@@ -268,6 +268,11 @@ def match_features(
             parts = best_part_map(
                 source, target, model=model, scale=scale, landmarks=landmarks, cache=cache
             )
+        if parts is None and others == ():
+            raise InputError(
+                "The candidate 'part' needs a mesh with a cut or large holes, and an orientation "
+                "that is not mirrored; add others beside it."
+            )
         if parts is not None and parts.consistent > MISFITS:
             mirror = "no"  # what is missing makes mirror images look as good
         choice, mirrored = _mirror_chosen(

@@ -115,7 +115,7 @@ class PartMap:
 
     @property
     def scale(self) -> float:
-        """Units of length of the source in one of the target, as they were taken."""
+        """Length in the source that is 1 in the target, as it was taken to be."""
         here, there = (
             float(np.sqrt(surface_area(each.mesh) / each.spectrum.area))
             for each in (self.source, self.target)

@@ -11,7 +11,7 @@ import numpy as np
 from esd.common import IntArray
 from esd.learning.model import Model, load_model
 from esd.matching.features import Features
-from esd.matching.partial import PartMap, part, part_map
+from esd.matching.partial import Part, PartMap, part, part_map
 from esd.mesh.geometry import components, surface_area
 from esd.mesh.mesh import Mesh
 from esd.mesh.topology import boundary_edges
@@ -21,16 +21,21 @@ BUNDLED = "partial"
 """Name of the model of parts that is used beside models of whole shapes."""
 
 Scale: TypeAlias = Literal["auto", "same", "free"]
-"""Whether shapes have one unit of length: taken to be so unless it fits badly, so, or not so."""
+"""Whether shapes have one unit of length: taken to be so unless it fits badly, so, or not so.
+
+`auto` takes it to be so in any case where both are parts.
+"""
 
 MISFITS = 0.6
 """Consistent share below which a map between parts is not taken to be one."""
 
 _OPEN = 0.15  # length of all boundaries, in √area, beyond which something may be missing
-_FITS = 0.9  # consistent share beyond which nothing else is tried
+_FITS = 0.85  # consistent share beyond which nothing else is tried
+_OTHER_UNITS = 0.25  # the same below which `auto` gives up that a part and a whole have one unit
 _LARGER = (1.0, 1.25, 1.6, 2.0)  # area of the whole, times that of the larger part
+_OTHERS = (1.0, 0.8, 1.25)  # area of the whole that a part is of, times that of another whole
 _SHARES = (1.0, 0.8, 0.63, 0.5, 0.4, 0.3)  # of the whole, where units differ
-_LARGEST = 1.5  # area of an open shape, times that of a whole one of the same unit
+_PLAUSIBLE = 0.05, 1.5  # area of an open shape, times that of a whole one of the same unit
 
 
 def open_mesh(features: Features) -> Mesh | None:
@@ -60,10 +65,10 @@ def best_part_map(
 ) -> PartMap | None:
     """The map between shapes of which one or both are parts; None where neither is open.
 
-    Where one is whole and of the same unit, its area is the whole's. Where both are open, the
-    whole is larger than either, and several sizes are tried; where units differ, several shares
-    that an open shape could be of its whole. The most consistent map is taken, see
-    `esd.matching.partial.consistent_share`.
+    Where one is whole and of the same unit, the whole of the other has about its area, a fifth
+    more or less. Where both are open, the whole is larger than either, and several sizes are
+    tried; where units differ, several shares that an open shape could be of its whole. The most
+    consistent map is taken, see `esd.matching.partial.consistent_share`.
 
     Parameters
     ----------
@@ -82,14 +87,17 @@ def best_part_map(
     model = model if model.diffusion is not None else _bundled()
     areas = [surface_area(mesh) for mesh in meshes]
     best: PartMap | None = None
+    was_same = True
+    known: dict[tuple[int, float], Part] = {}
     for is_same, wholes in _wholes(areas, [mesh is not None for mesh in opened], scale):
-        enough = MISFITS if scale == "auto" and not is_same else _FITS
+        enough = _FITS if is_same == was_same else _OTHER_UNITS
         if best is not None and best.consistent >= enough:
             break
-        parts = [
-            part(mesh, whole, model=model, cache=cache)
-            for mesh, whole in zip(meshes, wholes, strict=True)
-        ]
+        was_same = is_same
+        for place, whole in enumerate(wholes):
+            if (place, whole) not in known:
+                known[place, whole] = part(meshes[place], whole, model=model, cache=cache)
+        parts = [known[each] for each in enumerate(wholes)]
         found = part_map(parts[0], parts[1], landmarks=landmarks)
         if best is None or found.consistent > best.consistent:
             best = found
@@ -105,16 +113,19 @@ def _wholes(
     areas: Sequence[float], is_open: Sequence[bool], scale: Scale
 ) -> Iterator[tuple[bool, tuple[float, float]]]:
     """Areas of the wholes of both shapes to try, each in its own unit, and whether it is one."""
+    is_plausible = True
     if all(is_open):
-        alike = [max(areas) * factor for factor in _LARGER]
-        is_plausible = True
+        alike = [(max(areas) * factor, max(areas) * factor) for factor in _LARGER]
     else:
         place = is_open.index(False)
-        alike = [areas[place]]
-        is_plausible = areas[1 - place] <= _LARGEST * areas[place]
+        is_plausible = _PLAUSIBLE[0] < areas[1 - place] / areas[place] < _PLAUSIBLE[1]
+        alike = [
+            (areas[0], areas[0] * factor) if place == 0 else (areas[1] * factor, areas[1])
+            for factor in _OTHERS
+        ]
     if scale == "same" or (scale == "auto" and is_plausible):
-        yield from ((True, (whole, whole)) for whole in alike)
-    if scale == "same":
+        yield from ((True, wholes) for wholes in alike)
+    if scale == "same" or (scale == "auto" and all(is_open)):
         return
     for share in _SHARES:
         if all(is_open):
