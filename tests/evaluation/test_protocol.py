@@ -82,6 +82,10 @@ def test_wrong_truth_shows_and_missing_points_do_not_count(model, shapes):
 
 
 def test_rejected_points_are_wrong_but_not_in_the_mean(model, shapes):
+    # longer by a tenth, so that distances are more than rounding
+    other = shapes[1].mesh()
+    longer = Mesh(other.vertices * [1, 1, 1.1], other.faces)
+    shapes = shapes[0], replace(shapes[1], mesh=partial(_same, longer))
     _, [pair] = evaluate(model, [shapes])
     _, distance = nearest(*(model.embed_mesh(shape.mesh()) for shape in shapes))
     strict = replace(model, margin=2 * float(np.median(distance)) ** 2)  # rejects half
@@ -90,7 +94,7 @@ def test_rejected_points_are_wrong_but_not_in_the_mean(model, shapes):
     assert result.accuracy_5pct_diameter <= result.matched
     assert len(pair.errors) == len(distance)
     with pytest.raises(InputError, match="No vertex was matched"):
-        evaluate(replace(model, margin=1e-300), [shapes], reject=True)
+        evaluate(replace(model, margin=1e-30), [shapes], reject=True)
     with pytest.raises(InputError, match="no threshold"):
         evaluate(replace(model, margin=None), [shapes], reject=True)
 

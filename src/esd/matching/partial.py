@@ -44,8 +44,9 @@ _LOST = 0.5  # in √area of the whole, at which ways there and back are cut off
 _INSIDE = 0.3  # the same of distances to a boundary
 _OFFSETS = np.array([0.01, 0.05, 0.01, 0.01])  # of the logarithms
 # constant and weights of `_evidence`: for having a counterpart, and for being matched rightly
-_COUNTERPART = (2.69, -1.62, -1.3, 1.14, 0.98, -0.25)
-_RIGHT = (-1.2, -1.52, -2.48, 0.93, 0.35, -0.23)
+_COUNTERPART = (1.18, -1.52, -1.56, 0.84, 0.81, 0.02)
+_RIGHT = (0.78, -1.53, -1.8, 1.13, 0.26, -0.6)
+_OF_SHARE = 1.57  # weight of the logarithm of the consistent share, for being matched rightly
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,7 +129,7 @@ class PartMap:
 
     def confidence(self) -> FloatArray:
         """Probability that each match is within 5 % of the whole's diameter of the truth, (n,)."""
-        return _probability(self, _RIGHT)
+        return _probability(self, _RIGHT, _OF_SHARE * np.log(self.consistent + 0.1))
 
 
 def part_map(source: Part, target: Part, *, landmarks: IntArray | None = None) -> PartMap:
@@ -247,8 +248,9 @@ def _missed_by(each: Part, index: IntArray, back: IntArray) -> FloatArray:
     return np.where(again >= 0, missed, np.inf)
 
 
-def _probability(found: PartMap, weights: tuple[float, ...]) -> FloatArray:
-    logit = weights[0] + _evidence(found) @ np.array(weights[1:])
+def _probability(found: PartMap, weights: tuple[float, ...], offset: float = 0.0) -> FloatArray:
+    """By logistic regressions, fitted to parts of people that the model was not trained on."""
+    logit = offset + weights[0] + _evidence(found) @ np.array(weights[1:])
     return np.where(found.forward >= 0, 1 / (1 + np.exp(-logit)), 0.0)
 
 

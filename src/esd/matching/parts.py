@@ -30,10 +30,10 @@ MISFITS = 0.6
 """Consistent share below which a map between parts is not taken to be one."""
 
 _OPEN = 0.15  # length of all boundaries, in √area, beyond which something may be missing
-_FITS = 0.85  # consistent share beyond which nothing else is tried
+_FITS = 0.9  # consistent share beyond which nothing else is tried
 _OTHER_UNITS = 0.25  # the same below which `auto` gives up that a part and a whole have one unit
 _LARGER = (1.0, 1.25, 1.6, 2.0)  # area of the whole, times that of the larger part
-_OTHERS = (1.0, 0.8, 1.25)  # area of the whole that a part is of, times that of another whole
+_OTHERS = (1.0, 0.8, 1.25, 0.64, 1.56)  # area of a part's own whole, times that of another
 _SHARES = (1.0, 0.8, 0.63, 0.5, 0.4, 0.3)  # of the whole, where units differ
 _PLAUSIBLE = 0.05, 1.5  # area of an open shape, times that of a whole one of the same unit
 
@@ -65,10 +65,10 @@ def best_part_map(
 ) -> PartMap | None:
     """The map between shapes of which one or both are parts; None where neither is open.
 
-    Where one is whole and of the same unit, the whole of the other has about its area, a fifth
-    more or less. Where both are open, the whole is larger than either, and several sizes are
-    tried; where units differ, several shares that an open shape could be of its whole. The most
-    consistent map is taken, see `esd.matching.partial.consistent_share`.
+    Where one is whole and of the same unit, the whole of the other has from two thirds to one and
+    a half times its area. Where both are open, the whole is larger than either, and several sizes
+    are tried; where units differ, several shares that an open shape could be of its whole. The
+    most consistent map is taken, see `esd.matching.partial.consistent_share`.
 
     Parameters
     ----------
