@@ -133,7 +133,8 @@ def _supervised(
     from esd.parallel import EVERY_CORE
     from esd.spectral.cache import default_cache
 
-    shapes = 0 if chosen.store else len(chosen.shapes) + (len(held.shapes) if held else 0)
+    with_copies = len(chosen.shapes) * (1 + training.remeshings)
+    shapes = 0 if chosen.store else with_copies + (len(held.shapes) if held else 0)
     with (
         progress("describing", shapes) as described,
         progress("training", training.steps) as trained,
