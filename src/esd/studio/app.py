@@ -199,7 +199,10 @@ class Studio:
                 {key: value for key, value in asdict(shape).items() if key != "file"}
                 for shape in self.project.shapes()
             ],
-            "maps": self.project.maps(),
+            "maps": [
+                {key: value for key, value in figures.items() if key != "judgement"}
+                for figures in self.project.maps()
+            ],
             "jobs": [
                 {key: getattr(job, key) for key in ("number", "title", "state", "stage", "error")}
                 for job in self.jobs.list()

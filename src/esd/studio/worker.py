@@ -21,7 +21,7 @@ from esd.datasets.folder import read_vts
 from esd.evaluation.errors import true_map, vertex_errors
 from esd.learning.model import Model, load_model
 from esd.matching.along import transfer
-from esd.matching.confidence import Judgement
+from esd.matching.confidence import Adaptation, Judgement, Overlap
 from esd.matching.correspondence import Correspondence, load_map, save_map
 from esd.matching.features import Features
 from esd.matching.landmarks import paired_landmarks
@@ -46,6 +46,7 @@ from esd.viewing.scene import (
 )
 
 _MOST_FEATURES = 12  # shapes whose features are held
+_PARTS: dict[str, Any] = {"adaptation": Adaptation, "overlap": Overlap}  # of a judgement
 
 Reporter = Callable[[str], None]
 
@@ -285,7 +286,10 @@ def judgement_of(figures: dict[str, Any]) -> Judgement | None:
     kept = figures.get("judgement")
     if kept is None:
         return None
-    return Judgement(**{**kept, "contradicted": tuple(kept["contradicted"])})
+    parts = {
+        name: kind(**kept[name]) for name, kind in _PARTS.items() if kept.get(name) is not None
+    }
+    return Judgement(**{**kept, **parts, "contradicted": tuple(kept["contradicted"])})
 
 
 def _found(memory: _Memory, task: Match) -> Correspondence:
@@ -313,7 +317,8 @@ def _write_found(
     )
     _write_view(shown, task.view)
     with whole_file(task.figures) as temporary:
-        temporary.write_text(json.dumps(figures, indent=1), encoding="utf-8")
+        # numbers of NumPy are written as those of Python
+        temporary.write_text(json.dumps(figures, indent=1, default=float), encoding="utf-8")
 
 
 def _model(memory: _Memory, name: str) -> Model:
