@@ -78,3 +78,14 @@ def test_stores_of_something_else_are_refused(collection, tmp_path):
     assert not is_store(path)
     with pytest.raises(InputError, match="is no store of descriptors"):
         open_store(path)
+
+
+def test_a_file_whose_root_is_damaged_is_no_store(tmp_path):
+    path = tmp_path / "a.h5"
+    with h5py.File(path, "w", libver="latest") as file:
+        file.attrs["format"] = "esd-descriptors-1"
+    assert is_store(path)
+    whole = path.read_bytes()
+    at = whole.index(b"OHDR")  # of the root, which its checksum guards
+    path.write_bytes(whole[: at + 5] + b"\xff" + whole[at + 6 :])
+    assert not is_store(path)

@@ -152,7 +152,7 @@ def is_store(path: str | os.PathLike[str]) -> bool:
     try:
         with h5py.File(path, "r") as file:
             return bool(file.attrs.get("format") == _FORMAT)
-    except OSError:
+    except (OSError, KeyError, TypeError, ValueError, RuntimeError):  # of damaged files
         return False
 
 
