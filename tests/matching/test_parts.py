@@ -62,7 +62,7 @@ def test_a_part_is_matched_to_a_whole_of_another_person():
     assert found.judgement.candidate == "part"
     assert found.judgement.verdict == "good"
     assert found.judgement.overlap.source > 0.95
-    assert found.judgement.overlap.scale == pytest.approx(1)
+    assert found.judgement.overlap.scale == pytest.approx(1, abs=0.25)  # people differ
     assert right(found.target_index, points_of_cut(), points, whole) > 0.9
 
 
