@@ -43,6 +43,8 @@ def test_what_learning_without_correspondences_cannot_do_is_refused(unregistered
     where = ("-o", tmp_path / "model")
     done = run("train", unregistered, *where, "--preset", "paper-hks", expect=1)
     assert "has no correspondences, which the preset 'paper-hks' needs" in done.stderr
+    done = run("train", unregistered, *where, "--preset", "partial", expect=1)
+    assert "has no correspondences, which the preset 'partial' needs" in done.stderr
     done = run("train", unregistered, *where, "--device", "auto", expect=2)
     assert "runs on the CPU only" in done.stderr
     done = run("train", shapes, *where, "--preset", "paper-hks", "--start", "default", expect=2)

@@ -5,7 +5,7 @@ from esd.learning.presets import PRESETS
 
 
 def test_models_are_bundled_for_the_package_s_presets_and_none_saw_the_testing_subjects():
-    assert bundled_models() == ("oriented", "paper-gps", "paper-hks", "paper-wks")
+    assert bundled_models() == ("oriented", "paper-gps", "paper-hks", "paper-wks", "partial")
     assert set(bundled_models()) <= set(PRESETS)
     for name in bundled_models():
         seen = {shape.split("_")[0] for shape in load_model(name).card["shapes"]}

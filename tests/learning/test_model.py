@@ -54,6 +54,7 @@ def test_descriptions_say_in_a_line_how_a_model_was_trained(model):
         "steps_done": 30,
         "seed": 4,
         "curve": [[0, 1.0, None]],
+        "note": "On a Monday.",
         "on other_set": "1.5",
     }
     text = model_description(replace(model, card=card))
@@ -62,6 +63,7 @@ def test_descriptions_say_in_a_line_how_a_model_was_trained(model):
         "- Layers: 25 – 15",
         "- Training: 100 shapes of set (s0 … s99), 30 steps, loss infonce, validated on 1 shapes, "
         "seed 4",
+        "- On a Monday.",
         "- On other_set: 1.5",
     ]
     assert "Training" not in model_description(raw_model("hks"))

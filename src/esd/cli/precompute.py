@@ -70,6 +70,11 @@ def precompute(
     if force and output.exists() and not is_store(output):
         raise InputError(f"'{output}' is no store, and is not replaced; choose another name.")
     training = named_preset(preset) if preset else None
+    if training and training.blocks:
+        raise InputError(
+            f"The preset '{preset}' learns from parts of shapes, which a store does not hold: give "
+            "the data set itself to `esd train`."
+        )
     recipe = training.recipe if training else load_model(model or "default").recipe
     remeshings = training.remeshings if training else 0
     # workers of a cluster may run in other folders

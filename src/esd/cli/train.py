@@ -96,7 +96,7 @@ def train(
     elif hold_out:
         chosen, held = split_by_subject(chosen, held_out=hold_out, seed=seed)
     unregistered = () if chosen.store else chosen.unregistered()
-    if unregistered and training.loss == "infonce":
+    if unregistered and training.loss == "infonce" and not training.blocks:
         if device != "cpu":
             raise typer.BadParameter("Learning without correspondences runs on the CPU only.")
         model = _unsupervised(chosen, held, training, output, seed=seed, steps=steps, start=start)

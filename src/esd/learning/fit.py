@@ -37,9 +37,11 @@ def fit(
     on_shape: Callable[[], None] = lambda: None,
     on_progress: Callable[[Progress], None] = lambda _: None,
 ) -> Model:
-    """The model learned from a collection: by `osd`, or by `esd.learning.train.train`.
+    """The model learned from a collection.
 
-    Only the second needs torch; all parameters, and the errors raised, are its.
+    By `osd`, by `esd.learning.part_training.train_on_parts` where the training has blocks, or by
+    `esd.learning.train.train`. Only the first does without torch; all parameters, and the errors
+    raised, are those of the others.
     """
     if training.loss == "osd":
         return osd(
@@ -51,6 +53,21 @@ def fit(
             workers=workers,
             cache=cache,
             on_shape=on_shape,
+        )
+    if training.blocks:
+        from esd.learning.part_training import train_on_parts
+
+        return train_on_parts(
+            collection,
+            training,
+            name=name,
+            seed=seed,
+            validation=validation,
+            checkpoint=checkpoint,
+            device=device,
+            workers=workers,
+            on_shape=on_shape,
+            on_progress=on_progress,
         )
     from esd.learning.train import train
 

@@ -27,7 +27,9 @@ def contrastive_loss(squared_distance: Any, label: Any, *, margin: float) -> Any
     return label * squared_distance + (1 - label) * (margin - squared_distance).clip(min=0)
 
 
-def infonce_loss(source: Any, target: Any, *, temperature: float) -> Any:
+def infonce_loss(
+    source: Any, target: Any, *, temperature: float, ignored: Any | None = None
+) -> Any:
     """Loss of each of b corresponding pairs, (b,): log Σₖ exp(sᵢ·tₖ / τ) − sᵢ·tᵢ / τ, both ways.
 
     The cross-entropy of finding the match of a point among all points of the batch, the mean of
@@ -39,6 +41,9 @@ def infonce_loss(source: Any, target: Any, *, temperature: float) -> Any:
         Embedded points, rows of unit length; row i of one corresponds to row i of the other.
     temperature
         τ.
+    ignored : (b, b) bool tensor
+        Which points of the target (columns) are no wrong matches of those of the source, and do
+        not count; symmetric, and false on the diagonal.
 
     References
     ----------
@@ -46,6 +51,8 @@ def infonce_loss(source: Any, target: Any, *, temperature: float) -> Any:
     equation 4; symmetric as in Radford et al. 2021.
     """
     similarity = source @ target.T / temperature
+    if ignored is not None:
+        similarity = similarity.masked_fill(ignored, -float("inf"))
     ways = similarity.logsumexp(dim=0) + similarity.logsumexp(dim=1)
     return ways / 2 - similarity.diagonal()
 

@@ -453,6 +453,7 @@ def model_description(model: Model) -> str:
         f"- {_layers_description(model)}",
         *_convolutions_description(model),
         *_training_description(model.card),
+        *([f"- {model.card['note']}"] if "note" in model.card else []),
         *(f"- O{key[1:]}: {value}" for key, value in model.card.items() if key.startswith("on ")),
     ]
     return "\n".join(lines) + "\n"

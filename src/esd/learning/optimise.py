@@ -14,17 +14,42 @@ from safetensors.torch import save
 from esd.common import InputError, whole_file
 
 
-def descend(optimiser: torch.optim.Optimizer, loss: torch.Tensor, *, rate: float) -> None:
-    """One step of an optimiser down the gradient of a loss, at a learning rate."""
+def descend(
+    optimiser: torch.optim.Optimizer,
+    loss: torch.Tensor,
+    *,
+    rate: float,
+    largest_norm: float | None = None,
+) -> None:
+    """One step of an optimiser down the gradient of a loss, at a learning rate.
+
+    Parameters
+    ----------
+    largest_norm
+        To which the gradient is shortened; one that is not finite is then not followed at all.
+    """
     optimiser.param_groups[0]["lr"] = rate
     optimiser.zero_grad()
     loss.backward()
+    if largest_norm is not None:
+        weights = optimiser.param_groups[0]["params"]
+        if not torch.nn.utils.clip_grad_norm_(weights, largest_norm).isfinite():
+            return
     optimiser.step()
 
 
-def adam_with_moments(network: torch.nn.Module, *, rate: float) -> torch.optim.Adam:
-    """Adam for a network, whose moments exist before the first step, as checkpoints hold them."""
-    optimiser = torch.optim.Adam(network.parameters(), lr=rate)
+def adam_with_moments(
+    network: torch.nn.Module, *, rate: float, weight_decay: float = 0.0
+) -> torch.optim.Adam:
+    """Adam for a network, whose moments exist before the first step, as checkpoints hold them.
+
+    With weight decay, that of AdamW, apart from the gradient.
+    """
+    optimiser: torch.optim.Adam = (
+        torch.optim.AdamW(network.parameters(), lr=rate, weight_decay=weight_decay)
+        if weight_decay
+        else torch.optim.Adam(network.parameters(), lr=rate)
+    )
     for parameter in network.parameters():
         optimiser.state[parameter] = {
             "step": torch.tensor(0.0),

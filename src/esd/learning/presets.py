@@ -6,7 +6,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 from esd.common import InputError
-from esd.descriptors.recipe import Descriptor, Recipe, gradient_recipe, single_recipe
+from esd.descriptors.recipe import (
+    Descriptor,
+    Recipe,
+    gradient_recipe,
+    part_recipe,
+    single_recipe,
+)
 from esd.learning.acnn import AnisotropicPatches
 from esd.learning.gcnn import GeodesicPatches
 from esd.learning.patches import Patches
@@ -56,6 +62,9 @@ class Training:
         Points of each template that are trained on; None for all.
     patches, convolutions
         Which layers, from 0, are convolutions, and over which patches.
+    blocks
+        Of a network that diffuses features, trained on shapes whole and cut, see
+        `esd.learning.part_training`; none for layers.
     validate_every
         Steps between two validations, and between two checkpoints.
     """
@@ -79,6 +88,7 @@ class Training:
     points: int | None = None
     patches: Patches | None = None
     convolutions: tuple[int, ...] = ()
+    blocks: int = 0
     validate_every: int = 500
 
 
@@ -115,6 +125,19 @@ PRESETS = {
         remeshings=2,
         points=2500,
     ),
+    "partial": Training(
+        part_recipe(),
+        hidden=(256, 128),
+        outputs=64,
+        limit=8.0,
+        loss="infonce",
+        batch=1024,
+        learning_rate=2e-3,
+        schedule="cosine",
+        steps=5358,  # as many as the bundled model was trained for
+        blocks=4,
+        validate_every=100,
+    ),
     "paper-hks": Training(single_recipe("hks"), hidden=(78, 32)),
     "paper-wks": Training(single_recipe("wks"), hidden=(78, 32)),
     "paper-gps": Training(single_recipe("gps"), hidden=(20, 18)),
@@ -143,9 +166,10 @@ PRESETS = {
         validate_every=100,
     ),
 }
-"""`oriented`, which tells left from right; the networks of the paper (sections 3.4 and 3.5); and
-what it compares them with, of HKS as there: optimal spectral descriptors, also of the geometry
-vector, as their authors have them, and convolutional networks.
+"""`oriented`, which tells left from right; `partial`, which does on parts of shapes as well; the
+networks of the paper (sections 3.4 and 3.5); and what it compares them with, of HKS as there:
+optimal spectral descriptors, also of the geometry vector, as their authors have them, and
+convolutional networks.
 
 `gcnn` has its authors' layers, fully connected and geodesic. `acnn` has theirs up to the second of
 three anisotropic ones, with 16 channels in place of 64 to 256, to be trained without a GPU. The

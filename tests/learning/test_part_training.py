@@ -1,0 +1,235 @@
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from command import run
+from esd.common import InputError
+from esd.datasets.collection import Collection
+from esd.datasets.open import open_collection
+from esd.datasets.parts import part_of
+from esd.datasets.precompute import precompute
+from esd.descriptors.recipe import part_recipe, recipe_spectrum, single_recipe
+from esd.learning.diffusion import diffusion_network, surface_of
+from esd.learning.fit import fit
+from esd.learning.model import load_model, save_model
+from esd.learning.presets import PRESETS
+from esd.mesh.geometry import surface_area
+from esd.mesh.mesh import PointCloud
+from esd.parallel import Workers
+from esd.spectral.spectrum import spectrum
+
+torch = pytest.importorskip("torch", reason="training needs the extra `train`")
+from esd.learning.diffusion_torch import seeded_layers, surface_tensors  # noqa: E402
+from esd.learning.losses import infonce_loss  # noqa: E402
+from esd.learning.part_training import train_on_parts  # noqa: E402
+
+TRAINING = replace(
+    PRESETS["partial"],
+    recipe=replace(part_recipe(), eigenpairs=40),
+    hidden=(24, 12),
+    outputs=8,
+    blocks=1,
+    batch=100,
+    steps=6,
+    validate_every=2,
+)
+
+
+@pytest.fixture
+def two(collection):
+    """Two bent copies of one shape."""
+    return replace(collection, shapes=collection.shapes[:2])
+
+
+def test_the_network_of_torch_is_that_of_numpy(blob):
+    part = part_of(blob, "cut of 20 %").mesh
+    surface = surface_of(part, spectrum(part, 80).with_area(0.8))
+    found = surface.spectrum
+    tensors = surface_tensors(
+        found.eigenvalues,
+        found.eigenvectors,
+        found.mass,
+        surface.gradient,
+        device=torch.device("cpu"),
+    )
+    layers = seeded_layers(7, 10, 6, 5, 3, seed=0)
+    values = np.random.default_rng(0).standard_normal((len(part.vertices), 7)).astype(np.float32)
+    with torch.no_grad():
+        for name, parameter in layers.named_parameters():  # of norms these are ones and zeros
+            if "norm" in name:
+                parameter.add_(0.1 * torch.randn(6, generator=torch.Generator().manual_seed(1)))
+        theirs = layers(torch.from_numpy(values), tensors).numpy()
+    ours = diffusion_network(layers.arrays(), inputs=7)(values, surface)
+    np.testing.assert_allclose(ours, theirs, atol=2e-5 * np.abs(theirs).max())  # 32 bits
+
+
+def test_dropout_keeps_the_mean_and_follows_its_generator(blob):
+    surface = surface_of(blob, spectrum(blob, 20))
+    tensors = surface_tensors(
+        surface.spectrum.eigenvalues,
+        surface.spectrum.eigenvectors,
+        surface.spectrum.mass,
+        surface.gradient,
+        device=torch.device("cpu"),
+    )
+    layers = seeded_layers(7, 10, 6, 5, 1, seed=0)
+    values = torch.ones(len(blob.vertices), 7)
+    with torch.no_grad():
+        first, again, other = (
+            layers(values, tensors, torch.Generator().manual_seed(seed)) for seed in (0, 0, 1)
+        )
+        plain = layers(values, tensors)
+    assert (first == again).all()
+    assert (first != other).any()
+    assert (first != plain).any()
+    assert (seeded_layers(7, 10, 6, 5, 1, seed=0).first.weight == layers.first.weight).all()
+    assert (seeded_layers(7, 10, 6, 5, 1, seed=1).first.weight != layers.first.weight).any()
+
+
+def test_points_near_each_other_are_no_negatives():
+    source, target = torch.eye(3), torch.eye(3)[[0, 2, 1]]
+    near = torch.tensor([[0, 0, 0], [0, 0, 1], [0, 1, 0]], dtype=torch.bool)
+    loss = infonce_loss(source, target, temperature=0.5, ignored=near)
+    e = np.exp
+    # of the second two, whose match is the other's place, only the first is a negative
+    np.testing.assert_allclose(loss, np.log([1 + 2 * e(-2), 1 + 1, 1 + 1]), rtol=1e-6)
+
+
+def test_training_lowers_the_loss_and_finds_points_of_parts(two, collection):
+    curve = []
+    model = train_on_parts(
+        two, replace(TRAINING, steps=80, validate_every=10), on_progress=curve.append
+    )
+    losses = [loss for _, loss, _ in model.card["curve"]]
+    assert losses[-1] < 0.75 * losses[0]
+    assert [report.step for report in curve] == list(range(1, 81))
+    assert curve[-1].training_loss == losses[-1]
+    untrained = train_on_parts(two, replace(TRAINING, steps=1))
+    # of a shape that it has not seen: the whole, and a part of it by a seed of its own
+    whole = collection.shapes[2].mesh()
+    cut = part_of(whole, "cut of 35 %", seed=99)
+    share = surface_area(cut.mesh) / surface_area(whole)
+    errors = []
+    for each in (untrained, model):
+        found = recipe_spectrum(each.recipe, cut.mesh).with_area(share)
+        part, full = each.embed_spectrum(cut.mesh, found), each.embed_mesh(whole)
+        nearest = (part @ full.T).argmax(axis=1)
+        away = whole.vertices[nearest] - whole.vertices[cut.original_index()]
+        errors.append(np.linalg.norm(away, axis=1).mean())
+    assert errors[1] < 0.8 * errors[0]
+    assert model.card["parts"] == 20
+    assert model.card["data"] == "copies, whole and cut"
+    assert model.card["shapes"] == ["c0", "c1"]
+
+
+def test_equal_arguments_give_equal_weights(two):
+    first, second = (train_on_parts(two, TRAINING, seed=3) for _ in range(2))
+    assert_equal_models(first, second)
+    other = train_on_parts(two, TRAINING, seed=4)
+    assert (other.diffusion.weights["out.bias"] != first.diffusion.weights["out.bias"]).any()
+
+
+def assert_equal_models(first, second):
+    np.testing.assert_array_equal(first.mean, second.mean)
+    np.testing.assert_array_equal(first.deviation, second.deviation)
+    assert first.diffusion.weights.keys() == second.diffusion.weights.keys()
+    for name, weight in first.diffusion.weights.items():
+        np.testing.assert_array_equal(weight, second.diffusion.weights[name])
+
+
+def test_an_interrupted_training_resumes_with_the_parts_that_are_there(two, tmp_path):
+    path = tmp_path / "m.checkpoint"
+    held = replace(two, shapes=two.shapes[1:])
+    whole = train_on_parts(two, TRAINING, validation=held, checkpoint=path)
+    assert list(tmp_path.iterdir()) == []
+
+    def interrupt(progress):
+        if progress.step == 4:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train_on_parts(two, TRAINING, validation=held, checkpoint=path, on_progress=interrupt)
+    files = {file: file.stat().st_mtime_ns for file in (tmp_path / "m.checkpoint.parts").iterdir()}
+    assert len(files) == 3 * 11  # parts, and what is known of them
+
+    def unchanged(progress):
+        assert progress.step > 4
+        assert {file: file.stat().st_mtime_ns for file in files} == files
+
+    with pytest.raises(InputError, match="belongs to another training"):
+        train_on_parts(two, replace(TRAINING, batch=50), validation=held, checkpoint=path)
+    resumed = train_on_parts(two, TRAINING, validation=held, checkpoint=path, on_progress=unchanged)
+    assert_equal_models(whole, resumed)
+    first, second = ([list(point) for point in m.card["curve"]] for m in (whole, resumed))
+    assert first == second
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_validation_keeps_the_best_weights_and_ends_a_training_that_learns_no_more(two):
+    stuck = replace(TRAINING, learning_rate=1e-30, steps=100, validate_every=1)
+    model = train_on_parts(two, stuck, validation=two)
+    assert model.card["steps_done"] == 11
+    assert model.card["validation_shapes"] == ["c0", "c1"]
+    assert model.card["validation_loss"] == model.card["curve"][0][2]
+
+
+def test_models_of_parts_come_back_as_they_were_trained(two, blob, tmp_path):
+    model = fit(two, replace(TRAINING, standardise=False), name="m")
+    assert (model.mean == 0).all()
+    assert (model.deviation == 1).all()
+    save_model(model, tmp_path / "m")
+    back = load_model(tmp_path / "m")
+    np.testing.assert_array_equal(back.embed_mesh(blob), model.embed_mesh(blob))
+    card = json.loads((tmp_path / "m" / "config.json").read_text())["card"]
+    assert card["training"]["blocks"] == 1
+    assert card["steps_done"] == 6
+
+
+def test_what_cannot_be_trained_is_refused_before_anything_is_described(two, tmp_path):
+    nothing = replace(two, shapes=tuple(replace(s, mesh=None) for s in two.shapes))
+    for wrong in (
+        replace(TRAINING, blocks=0),
+        replace(TRAINING, hidden=(10,)),
+        replace(TRAINING, recipe=single_recipe("hks")),
+    ):
+        with pytest.raises(InputError, match="takes presets with `blocks`"):
+            train_on_parts(nothing, wrong)
+    with pytest.raises(InputError, match=r"`seed` must be from 0 to 4294967295; got -1"):
+        train_on_parts(nothing, TRAINING, seed=-1)
+    with pytest.raises(InputError, match="no device 'x'"):
+        train_on_parts(nothing, TRAINING, device="x")
+    precompute(
+        two, replace(single_recipe("gps"), eigenpairs=30), tmp_path / "s.h5", workers=Workers(1)
+    )
+    store = open_collection(tmp_path / "s.h5")
+    with pytest.raises(InputError, match=r"s\.h5' is a store, .* none of their parts"):
+        train_on_parts(store, TRAINING)
+    with pytest.raises(InputError, match="is a store"):
+        train_on_parts(nothing, TRAINING, validation=store)
+    (tmp_path / "m.parts").write_text("in the way")
+    with pytest.raises(InputError, match=r"m\.parts' cannot be written to"):
+        train_on_parts(nothing, TRAINING, checkpoint=tmp_path / "m")
+
+
+def test_shapes_that_cannot_be_cut_or_have_nothing_in_common_are_refused(two, blob):
+    cloud = replace(two.shapes[0], mesh=lambda: PointCloud(blob.vertices))
+    with pytest.raises(InputError, match=r"'c0': .*no faces"):
+        train_on_parts(Collection("x", (cloud,)), TRAINING)
+    index = np.full(len(blob.vertices), -1)
+    index[:5] = np.arange(5)
+    bare = replace(two, shapes=tuple(replace(s, correspondence=lambda: index) for s in two.shapes))
+    with pytest.raises(InputError, match="none had enough points of a template in common"):
+        train_on_parts(bare, TRAINING)
+
+
+def test_the_command_trains_on_shapes_with_correspondences_alone(shapes, tmp_path):
+    where = ("-o", tmp_path / "model", "--preset", "partial")
+    done = run("train", shapes, *where, "--steps", 2, "--include", "*[01]0")
+    assert "trained 2 steps on 2 shapes" in done.stdout
+    model = load_model(tmp_path / "model")
+    assert model.diffusion.block_count == 4
+    assert {file.name for file in tmp_path.iterdir()} == {"model", "set"}
+    done = run("precompute", shapes, "-o", tmp_path / "s.h5", "--preset", "partial", expect=1)
+    assert "learns from parts of shapes, which a store does not hold" in done.stderr
