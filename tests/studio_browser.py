@@ -19,7 +19,7 @@ DESKTOP = {"viewport": {"width": 1400, "height": 800}, "color_scheme": "light"}
 
 
 def bent(scale: float = 1.0) -> Mesh:
-    """A closed surface of 2,048 vertices without symmetry."""
+    """A closed surface of 2,048 vertices; half a turn about x takes it to itself."""
     mesh = subdivide(torus(32, 16))
     x, y, z = mesh.vertices.T
     return Mesh(mesh.vertices * (1 + 0.3 * x + 0.2 * y * z)[:, None] * [1, 1, scale], mesh.faces)

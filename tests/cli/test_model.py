@@ -1,6 +1,6 @@
 import pytest
 
-from esd.learning.model import bundled_models
+from esd.learning.model import bundled_models, load_model
 
 
 def test_models_and_raw_descriptors_are_listed(run_here, tmp_path):
@@ -14,6 +14,10 @@ def test_what_a_model_is_made_of_takes_three_lines(run_here, tmp_path, name):
     shown = run_here("model", "show", name, where=tmp_path).stdout.splitlines()
     assert shown[0] == f"# {name}"
     heads = [line.partition(":")[0] for line in shown if line.startswith("- ")]
-    assert heads[:3] == ["- Descriptors", "- Layers", "- Training"]
-    assert all(head.startswith("- On ") for head in heads[3:])
+    assert heads[:3] == [
+        "- Descriptors",
+        "- Network" if load_model(name).diffusion else "- Layers",
+        "- Training",
+    ]
+    assert all(head.startswith(("- On ", "- Trained by a prototype")) for head in heads[3:])
     assert max(map(len, shown)) < 250  # the names of hundred shapes are not listed

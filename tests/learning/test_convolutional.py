@@ -161,7 +161,7 @@ def test_convolutions_of_what_is_no_whole_shape_are_refused(collection, shapes, 
         train(collection, replace(TRAINING, points=10))
     model = train(collection, replace(TRAINING, steps=1))
     mesh = shapes[0].mesh()
-    with pytest.raises(InputError, match="it embeds whole shapes"):
+    with pytest.raises(InputError, match="embeds all vertices of a shape together"):
         model.embed(descriptors(model.recipe, mesh))
     with pytest.raises(InputError, match="Points have no faces, which patches need"):
         model.embed_mesh(PointCloud(mesh.vertices[:-1]))

@@ -23,7 +23,8 @@ def sphere():
     mesh = type(mesh)(mesh.vertices * [1.0, 1.2, 1.5], mesh.faces)
     vertices = mesh.vertices.astype(np.float32)
     functions = spectrum(mesh, 40).with_area(1.0).eigenvectors.astype(np.float32)
-    return Samples("a", (vertices,), functions, vertices / 4, vertex_normals(mesh))
+    every = np.arange(len(vertices))
+    return Samples("a", (vertices,), functions, vertices / 4, vertex_normals(mesh), every)
 
 
 def unit(values):
@@ -89,6 +90,7 @@ def test_lessons_keep_only_what_returns_and_is_oriented(sphere):
         sphere.eigenvectors,
         sphere.positions,
         sphere.normals,
+        sphere.vertices,
     )
     turned = lesson(sphere, mirrored, noisy, sizes=sizes, count=800, generator=generator)
     assert turned.returning > 0.9
@@ -120,8 +122,9 @@ def test_known_points_lead_a_map(sphere):
         sphere.eigenvectors,
         sphere.positions,
         sphere.normals,
-        known,
-        closeness,
+        sphere.vertices,
+        known=known,
+        closeness=closeness,
     )
     assert shared_closeness(led, sphere) is None
     sizes = (8, 14, 20)

@@ -311,7 +311,7 @@ def with_entry(row: int, column: int, value: float) -> sparse.csc_array:
         (LAPLACIAN, MASS[:9], 2, r"`mass` must be \(n,\).*n = 42; got \(9,\)"),
         (LAPLACIAN, 0 * MASS, 2, "`mass` must be positive; that of vertex 0 is 0.0"),
         (LAPLACIAN, np.where(MASS > 0, np.inf, 0), 2, "`mass` must be positive; .* is inf"),
-        (LAPLACIAN, LAPLACIAN, 2, "`mass` must be positive definite"),
+        (LAPLACIAN, LAPLACIAN - 0.01 * sparse.eye_array(42), 2, "`mass` must be positive definite"),
         (LAPLACIAN, -consistent_mass(icosphere(1)), 2, "`mass` must be positive"),
         (LAPLACIAN, LAPLACIAN[:9, :9], 2, r"`mass` must be \(n,\) or \(n, n\)"),
     ],

@@ -273,7 +273,8 @@ def test_all_pairs_of_several_shapes_are_in_the_gallery(tab, tmp_path):
     tab.until(lambda: [s["names"] for s in tab.state()["shapes"]] == [["nose", "tail"]] * 3)
     tab.until(lambda: [s["labels"] for s in tab.state()["shapes"]] == [1, 1, 1])
     carried = tab.saved("#store-labels").decode().split()
-    assert (np.array(carried) == parts).mean() > 0.95
+    same = (np.array(carried) == parts).mean()
+    assert max(same, 1 - same) > 0.95  # half a turn about x takes the shape to itself
     tab.page.get_by_text("Labels", exact=True).click()
     colours = {tuple(c) for c in tab.picture()[::4, ::4].reshape(-1, 3)}
     assert len(colours) > 50
