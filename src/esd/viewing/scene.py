@@ -155,9 +155,12 @@ def shape_arrays(name: str, mesh: Mesh) -> dict[str, npt.NDArray[np.generic]]:
 
 
 def _judged(source: Mesh, target: Mesh, match: Correspondence) -> Judgement | None:
-    """The judgement that follows from the confidence, where that is known."""
-    counted = is_referenced(source) & np.isfinite(match.confidence)
-    if not counted.any() or not match.is_matched().any():
+    """The judgement that follows from the confidence, where that is known.
+
+    Vertices without a match do not count: a file does not say why they have none.
+    """
+    counted = is_referenced(source) & np.isfinite(match.confidence) & match.is_matched()
+    if not counted.any():
         return None
     return judgement(source, target, match.target_index, match.confidence, counted=counted)
 
