@@ -19,8 +19,9 @@ def test_a_shape_is_mapped_to_itself_and_all_of_that_is_consistent(whole):
     assert (found.forward == np.arange(len(whole.points))).mean() > 0.99
     assert found.consistent > 0.99
     assert found.scale == pytest.approx(1)
-    assert found.counterparts().mean() > 0.9
-    assert found.confidence().mean() > 0.9
+    has_counterpart, right = found.probabilities()
+    assert has_counterpart.mean() > 0.9
+    assert right.mean() > 0.9
 
 
 def test_maps_that_do_not_return_or_turn_faces_over_are_not_consistent(whole):

@@ -9,7 +9,14 @@ import numpy as np
 from scipy import sparse
 
 from esd.common import FloatArray, InputError, IntArray, is_count, is_positive
-from esd.mesh.geometry import face_areas, face_normals, surface_area, vertex_areas, vertex_normals
+from esd.mesh.geometry import (
+    face_areas,
+    face_normals,
+    surface_area,
+    unit,
+    vertex_areas,
+    vertex_normals,
+)
 from esd.mesh.mesh import Mesh
 from esd.spectral.laplacian import SparseMatrix, lumped_mass
 
@@ -105,7 +112,7 @@ def anisotropic_stiffness(mesh: Mesh, *, angle: float, anisotropy: float) -> Spa
     """
     gradient = _gradients(mesh)
     slow = _curved_most(mesh)
-    across = np.cross(_unit(face_normals(mesh)), slow)
+    across = np.cross(unit(face_normals(mesh)), slow)
     slow = np.cos(angle) * slow + np.sin(angle) * across
     along = np.einsum("fci,fi->fc", gradient, slow)
     # D is the identity but for the slow direction
@@ -189,14 +196,9 @@ def _curved_most(mesh: Mesh) -> FloatArray:
     for _ in range(_SMOOTHINGS):
         at_vertices = (spread @ operator.reshape(-1, 9)) / total
         operator = at_vertices[mesh.faces].mean(axis=1).reshape(-1, 3, 3)
-    first = _unit(mesh.vertices[mesh.faces[:, 1]] - mesh.vertices[mesh.faces[:, 0]])
-    second = np.cross(_unit(face_normals(mesh)), first)
+    first = unit(mesh.vertices[mesh.faces[:, 1]] - mesh.vertices[mesh.faces[:, 0]])
+    second = np.cross(unit(face_normals(mesh)), first)
     frame = np.stack([first, second], axis=1)
     (a, b), (c, d) = np.einsum("fai,fij,fbj->abf", frame, operator, frame)
     turn = np.arctan2(b + c, a - d) / 2  # of the axis of the larger eigenvalue
     return np.cos(turn)[:, None] * first + np.sin(turn)[:, None] * second
-
-
-def _unit(vectors: FloatArray) -> FloatArray:
-    length = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return np.asarray(vectors / np.maximum(length, np.finfo(float).tiny))

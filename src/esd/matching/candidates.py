@@ -9,11 +9,11 @@ import numpy as np
 from scipy import linalg
 
 from esd.common import BoolArray, FloatArray, IntArray
-from esd.matching.extrinsic import Posed, posed, unit
+from esd.matching.extrinsic import Posed, posed
 from esd.matching.features import Features
 from esd.matching.functional_map import functional_map, spectral_rows
 from esd.matching.refine import zoomout
-from esd.mesh.geometry import face_areas, surface_area, vertex_normals
+from esd.mesh.geometry import face_areas, surface_area, unit, vertex_normals
 from esd.mesh.mesh import Mesh
 from esd.nearest import nearest
 from esd.spectral.spectrum import Spectrum

@@ -11,7 +11,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from esd.common import BoolArray, FloatArray, IntArray
-from esd.mesh.geometry import vertex_areas, vertex_normals
+from esd.mesh.geometry import unit, vertex_areas, vertex_normals
 from esd.mesh.mesh import Mesh
 from esd.mesh.sampling import spread
 from esd.mesh.topology import boundary_edges
@@ -199,12 +199,6 @@ def deformed(
         moments = (rows * weight[:, None]).T @ (target.points[there] - source.points[here])
         result = result.displaced(source.points + basis @ np.linalg.solve(normal, moments))
     return result
-
-
-def unit(vectors: FloatArray) -> FloatArray:
-    """Vectors (n, 3) of length one in the same directions; null vectors stay."""
-    length = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return vectors / np.maximum(length, np.finfo(float).tiny)
 
 
 def _rotations(source: Posed, target: Posed, *, mirrored: bool, seed: int) -> list[FloatArray]:

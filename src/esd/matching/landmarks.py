@@ -18,7 +18,7 @@ from esd.matching.candidates import (
 )
 from esd.matching.extrinsic import aligned, deformed
 from esd.mesh.geodesics import geodesic_graph
-from esd.mesh.geometry import surface_area
+from esd.mesh.geometry import surface_area, unit
 from esd.mesh.io.landmarks import Landmarks
 from esd.mesh.mesh import Mesh
 from esd.nearest import nearest
@@ -138,7 +138,7 @@ def landmark_rows(mesh: Mesh, vertices: IntArray) -> FloatArray:
         The landmarks.
     """
     distance = geodesic_graph(mesh).distances(vertices).T / np.sqrt(surface_area(mesh))
-    return _unit(1 / (distance + _NEAR))
+    return unit(1 / (distance + _NEAR))
 
 
 def landmark_candidates(
@@ -203,7 +203,7 @@ def _misses(source: Sampled, target: Sampled, landmarks: IntArray, descriptors: 
     for left_out in np.unique(fold):
         used = fold != left_out
         embeddings = _joined(
-            (_unit(near[0][:, used]), _unit(near[1][:, used])), descriptors, _DESCRIPTOR_WEIGHT
+            (unit(near[0][:, used]), unit(near[1][:, used])), descriptors, _DESCRIPTOR_WEIGHT
         )
         candidate = spectral_candidate("landmarks", source, target, embeddings)
         out = np.flatnonzero(~used)
@@ -230,11 +230,6 @@ def _joined(near: Rows, rows: Rows, weight: float) -> Rows:
         np.hstack([_WEIGHT * near[0], weight * rows[0]]),
         np.hstack([_WEIGHT * near[1], weight * rows[1]]),
     )
-
-
-def _unit(rows: FloatArray) -> FloatArray:
-    length = np.linalg.norm(rows, axis=1, keepdims=True)
-    return np.asarray(rows / np.where(length > 0, length, 1.0))
 
 
 def _mesh(shape: Sampled) -> Mesh:

@@ -304,8 +304,9 @@ def match_features(
     else:
         embeddings = parts.source.embedded, parts.target.embedded
         found = with_similarity(*embeddings, index, margin=None)
-        kept = parts.counterparts() > _COUNTERPART
-        found = _judged_parts(found, parts, kept, source, target)
+        has_counterpart, right = parts.probabilities()
+        kept = has_counterpart > _COUNTERPART
+        found = _judged_parts(found, parts, kept, right, source, target)
     if found.judgement is not None:
         found = replace(
             found,
@@ -453,11 +454,16 @@ def _fits_better(parts: PartMap, maps: _Maps, expected: float) -> bool:
 
 
 def _judged_parts(
-    match: Correspondence, parts: PartMap, kept: BoolArray, source: Features, target: Features
+    match: Correspondence,
+    parts: PartMap,
+    kept: BoolArray,
+    right: FloatArray,
+    source: Features,
+    target: Features,
 ) -> Correspondence:
     """A map between parts with its confidence and a judgement of the vertices that are kept."""
     kept = kept & (match.target_index >= 0)
-    values = np.where(kept, parts.confidence(), 0.0)
+    values = np.where(kept, right, 0.0)
     verdict = judgement(
         parts.source.mesh,
         parts.target.mesh,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 from scipy import sparse
 from scipy.spatial import KDTree
 
@@ -15,7 +16,10 @@ from esd.matching.candidates import Rows
 from esd.matching.landmarks import landmark_rows
 from esd.mesh.geometry import (
     adjacency,
+    edge_lengths,
     edges,
+    face_areas,
+    face_normals,
     is_referenced,
     surface_area,
     vertex_normals,
@@ -70,7 +74,7 @@ class Part:
     mesh: Mesh
     spectrum: Spectrum
     embedded: FloatArray
-    points: FloatArray
+    points: npt.NDArray[np.float64]
     sample: IntArray
 
 
@@ -123,13 +127,22 @@ class PartMap:
         )
         return here / there
 
-    def counterparts(self) -> FloatArray:
-        """Probability that each source vertex has a counterpart, (n,)."""
-        return _probability(self, _COUNTERPART)
+    def probabilities(self) -> tuple[FloatArray, FloatArray]:
+        """That each source vertex has a counterpart, and that it is matched rightly, (n,) each.
 
-    def confidence(self) -> FloatArray:
-        """Probability that each match is within 5 % of the whole's diameter of the truth, (n,)."""
-        return _probability(self, _RIGHT, _OF_SHARE * np.log(self.consistent + 0.1))
+        Rightly: within 5 % of the whole's diameter of the truth. By logistic regressions, fitted
+        to parts of people that the model was not trained on.
+        """
+        evidence = _evidence(self)
+        offset = _OF_SHARE * np.log(self.consistent + 0.1)
+        logits = [
+            constant + evidence @ np.array(weights)
+            for constant, *weights in (_COUNTERPART, (_RIGHT[0] + offset, *_RIGHT[1:]))
+        ]
+        has, right = (
+            np.where(self.forward >= 0, 1 / (1 + np.exp(-logit)), 0.0) for logit in logits
+        )
+        return has, right
 
 
 def part_map(source: Part, target: Part, *, landmarks: IntArray | None = None) -> PartMap:
@@ -223,19 +236,13 @@ def _consistent_area(here: Part, there: Part, index: IntArray, back: IntArray) -
     matched = (image >= 0).all(axis=1)
     faces, image = faces[matched], image[matched]
     near = _missed_by(here, index, back)[faces].max(axis=1) < _NEAR
-    length, longer = (
-        np.linalg.norm(points[corners] - np.roll(points[corners], 1, axis=1), axis=2)
-        for points, corners in ((here.points, faces), (there.points, image))
-    )
+    both = Mesh(here.points, faces), Mesh(there.points, image)
+    length, longer = (edge_lengths(each) for each in both)
     spacing = np.sqrt(there.spectrum.area / np.count_nonzero(there.spectrum.mass))
     smooth = (longer < _STRETCH * (length + spacing)).all(axis=1)
-    turns = []
-    for points, corners in ((here.points, faces), (there.points, image)):
-        a, b, c = (points[corners[:, corner]] for corner in range(3))
-        turns.append(np.cross(b - a, c - a))
     normals = vertex_normals(there.mesh)[image].sum(axis=1)
-    kept = np.einsum("fd,fd->f", turns[1], normals) >= 0
-    areas = [np.linalg.norm(turn, axis=1) / 2 for turn in turns]
+    kept = np.einsum("fd,fd->f", face_normals(both[1]), normals) >= 0
+    areas = [face_areas(each) for each in both]
     counted = near & smooth & kept
     # images of single faces are rough: a coarser target gives none for many, and more for others
     return float(min(areas[0][counted].sum(), areas[1][counted].sum()))
@@ -246,12 +253,6 @@ def _missed_by(each: Part, index: IntArray, back: IntArray) -> FloatArray:
     again = np.where(index >= 0, back[index], -1)
     missed = np.linalg.norm(each.points - each.points[again], axis=1)
     return np.where(again >= 0, missed, np.inf)
-
-
-def _probability(found: PartMap, weights: tuple[float, ...], offset: float = 0.0) -> FloatArray:
-    """By logistic regressions, fitted to parts of people that the model was not trained on."""
-    logit = offset + weights[0] + _evidence(found) @ np.array(weights[1:])
-    return np.where(found.forward >= 0, 1 / (1 + np.exp(-logit)), 0.0)
 
 
 def _evidence(found: PartMap) -> FloatArray:

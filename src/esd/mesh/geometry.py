@@ -11,6 +11,12 @@ from esd.common import FloatArray, IntArray
 from esd.mesh.mesh import Mesh
 
 
+def unit(vectors: FloatArray) -> FloatArray:
+    """Vectors (n, d) of length one in the same directions; null vectors stay."""
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return np.asarray(vectors / np.maximum(length, np.finfo(float).tiny))
+
+
 def face_normals(mesh: Mesh) -> FloatArray:
     """Normals of the faces, (m, 3), each as long as twice its face's area."""
     # `np.take` and products of columns: of millions of faces indexing and `np.cross` take twice

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
-from esd.mesh.geometry import vertex_normals
+from esd.mesh.geometry import face_normals, unit, vertex_normals
 from esd.mesh.mesh import Mesh
 
 _DEGENERATE = 1e-3  # of the mean area, below which a face has no normal to speak of
@@ -20,17 +20,16 @@ def gradient_operator(mesh: Mesh) -> sparse.csr_array:
     a quarter turn from the first as seen from outside; the first is arbitrary.
     """
     vertices, faces = mesh.vertices, mesh.faces
-    corners = vertices[faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    corners, normals = vertices[faces], face_normals(mesh)
     double = np.linalg.norm(normals, axis=1)
     normals /= np.maximum(double, np.finfo(float).tiny)[:, None]
     normals[double < _DEGENERATE * double.mean()] = 0.0
     around = np.bincount(faces.ravel(), np.repeat(double, 3), minlength=len(vertices))
     around = np.maximum(around, _AREA_FLOOR * around.mean())
 
-    upward = _unit(vertex_normals(mesh))
+    upward = vertex_normals(mesh)
     along = np.eye(3)[np.abs(upward).argmin(axis=1)]  # the axis farthest from the normal
-    first = _unit(np.cross(upward, along))
+    first = unit(np.cross(upward, along))
     second = np.cross(upward, first)
 
     rows, columns, values = [], [], []
@@ -46,8 +45,3 @@ def gradient_operator(mesh: Mesh) -> sparse.csr_array:
     entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
     size = (len(vertices), len(vertices))
     return sparse.coo_array(entries, shape=size).tocsr()
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    length = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return np.asarray(vectors / np.maximum(length, np.finfo(float).tiny))
