@@ -31,8 +31,9 @@ from esd.learning.diffusion_torch import (
 )
 from esd.learning.losses import infonce_loss
 from esd.learning.model import Model
-from esd.learning.optimise import adam_with_moments, descend, load_checkpoint, save_checkpoint
+from esd.learning.optimise import adam_with_moments, descend
 from esd.learning.presets import Training
+from esd.learning.run import Run, first_run
 from esd.learning.train import Progress
 from esd.mesh.geometry import surface_area
 from esd.mesh.mesh import Mesh
@@ -56,9 +57,7 @@ _LARGEST_NORM = 1.0  # of the gradient of all weights
 _WARM_UP = 100  # steps in which the learning rate rises
 _LAST_RATE = 0.02  # of the learning rate, at the end of its cosine
 _VALIDATION_PAIRS = 20
-_PATIENCE = 10  # validations without improvement after which training stops
 _LARGEST_SEED = 2**32 - 1
-_PROGRESS = ("step", "best_loss", "best_step", "curve")  # what a checkpoint keeps beside tensors
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,19 +95,6 @@ class _Pair:
     source: _Part
     target: _Part
     points: IntArray
-
-
-@dataclass(slots=True, eq=False)
-class _Run:
-    """All that changes during a training, and that a checkpoint keeps."""
-
-    network: DiffusionLayers
-    optimiser: torch.optim.Adam
-    step: int
-    best_loss: float
-    best_step: int
-    best_weights: list[torch.Tensor]
-    curve: list[tuple[int, float, float | None]]
 
 
 def train_on_parts(
@@ -358,17 +344,17 @@ def _draw(parts: tuple[_Part, ...], training: Training, seed: int, number: int) 
     )
 
 
-def _start(training: Training, seed: int, device: torch.device) -> _Run:
+def _start(training: Training, seed: int, device: torch.device) -> Run[DiffusionLayers]:
     hidden, width = training.hidden
     network = seeded_layers(
         training.recipe.width, hidden, width, training.outputs, training.blocks, seed=seed
     ).to(device)
     optimiser = adam_with_moments(network, rate=training.learning_rate, weight_decay=_WEIGHT_DECAY)
-    return _Run(network, optimiser, 0, float("inf"), 0, _weights(network), [])
+    return first_run(network, optimiser)
 
 
 def _run_to_the_end(
-    run: _Run,
+    run: Run[DiffusionLayers],
     data: _Parts,
     held: tuple[_Pair, ...],
     training: Training,
@@ -379,13 +365,9 @@ def _run_to_the_end(
     """All steps from those that the checkpoint has, until the last or the validation's patience."""
     identity = _identity(data, held, training, seed)
     if checkpoint is not None and checkpoint.exists():
-        state, tensors = load_checkpoint(checkpoint, run.network, run.optimiser, identity=identity)
-        run.best_weights = [tensors[f"best {i}"] for i in range(len(run.best_weights))]
-        for name in _PROGRESS:
-            setattr(run, name, state[name])
+        run.resume(checkpoint, identity=identity)
     losses: list[float] = []
-    patience = _PATIENCE * training.validate_every
-    while run.step < training.steps and not (held and run.step - run.best_step >= patience):
+    while run.step < training.steps and not (held and run.is_exhausted(training.validate_every)):
         losses.append(_advance(run, data, training, seed))
         run.step += 1
         loss = None
@@ -394,21 +376,14 @@ def _run_to_the_end(
             run.curve.append((run.step, float(np.mean(losses)), loss))
             losses = []
             if checkpoint is not None:
-                save_checkpoint(
-                    checkpoint,
-                    run.network,
-                    run.optimiser,
-                    identity=identity,
-                    state={name: getattr(run, name) for name in _PROGRESS},
-                    tensors={f"best {i}": weight for i, weight in enumerate(run.best_weights)},
-                )
+                run.save(checkpoint, identity=identity)
         latest = float(np.mean(losses)) if losses else run.curve[-1][1]
         on_progress(Progress(run.step, training.steps, latest, loss))
     if checkpoint is not None:
         checkpoint.unlink(missing_ok=True)
 
 
-def _advance(run: _Run, data: _Parts, training: Training, seed: int) -> float:
+def _advance(run: Run[DiffusionLayers], data: _Parts, training: Training, seed: int) -> float:
     """One step; its loss."""
     device = run.network.out.weight.device
     dropout = torch.Generator(device).manual_seed(_LARGEST_SEED * run.step + seed)
@@ -422,14 +397,14 @@ def _advance(run: _Run, data: _Parts, training: Training, seed: int) -> float:
     return float(loss.detach())
 
 
-def _validate(run: _Run, data: _Parts, held: tuple[_Pair, ...], training: Training) -> float:
+def _validate(
+    run: Run[DiffusionLayers], data: _Parts, held: tuple[_Pair, ...], training: Training
+) -> float:
     """The loss on the validation pairs; the weights are noted if they are the best so far."""
     with torch.no_grad():
         losses = [float(_loss(run.network, data, pair, training, None)) for pair in held]
     mean = float(np.mean(losses))
-    if mean < run.best_loss:
-        run.best_loss, run.best_step = mean, run.step
-        run.best_weights = _weights(run.network)
+    run.note(mean)
     return mean
 
 
@@ -492,10 +467,6 @@ def _read(
     return values.nan_to_num(), surface, torch.from_numpy(arrays["positions"]).to(device)
 
 
-def _weights(network: DiffusionLayers) -> list[torch.Tensor]:
-    return [parameter.detach().clone() for parameter in network.parameters()]
-
-
 def _identity(data: _Parts, held: tuple[_Pair, ...], training: Training, seed: int) -> str:
     """What a training depends on; a checkpoint is resumed only by the same."""
     # the names of the files have keys of all that is in them
@@ -515,7 +486,7 @@ def _card(
     validation: Collection | None,
     training: Training,
     seed: int,
-    run: _Run,
+    run: Run[DiffusionLayers],
     parts: int,
 ) -> dict[str, Any]:
     settings = asdict(training)

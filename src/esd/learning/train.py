@@ -26,17 +26,14 @@ from esd.learning.network import convolved, seeded_network
 from esd.learning.optimise import (
     adam_with_moments,
     descend,
-    load_checkpoint,
-    save_checkpoint,
 )
 from esd.learning.pairs import PairBatch, draw_matches, draw_pairs
 from esd.learning.presets import Training
+from esd.learning.run import Run, first_run, weights_of
 from esd.learning.table import PointTable, point_table, standardisation, stored_table
 from esd.parallel import THIS_PROCESS, Workers
 from esd.spectral.cache import Cache, content_key
 
-_PATIENCE = 10  # validations without improvement after which training stops
-_PROGRESS = ("step", "best_loss", "best_step", "curve")  # what a checkpoint keeps beside tensors
 _VALIDATION_BATCHES = 40
 _LARGEST_SEED = 2**32 - 1
 _LARGE_STEP = 10**8  # multiplications in a step's products
@@ -79,19 +76,6 @@ class _Data:
     mean: FloatArray
     deviation: FloatArray
     held_out: _HeldOut | None
-
-
-@dataclass(slots=True, eq=False)
-class _Run:
-    """All that changes during a training, and that a checkpoint keeps."""
-
-    network: torch.nn.Sequential
-    optimiser: torch.optim.Adam
-    step: int
-    best_loss: float
-    best_step: int
-    best_weights: list[torch.Tensor]
-    curve: list[tuple[int, float, float | None]]
 
 
 def train(
@@ -160,7 +144,7 @@ def train(
             recipe=training.recipe,
             mean=data.mean,
             deviation=data.deviation,
-            layers=_layers(_weights(run.network) if data.held_out is None else run.best_weights),
+            layers=_layers(weights_of(run.network) if data.held_out is None else run.best_weights),
             margin=training.margin if training.loss == "contrastive" else None,
             limit=training.limit,
             unit_length=training.loss == "infonce",
@@ -208,7 +192,7 @@ def _training_data(
 
 
 def _run_to_the_end(
-    run: _Run,
+    run: Run[torch.nn.Sequential],
     data: _Data,
     training: Training,
     seed: int,
@@ -218,31 +202,18 @@ def _run_to_the_end(
     """All steps from those that the checkpoint has, until the last or the validation's patience."""
     identity = _identity(data, training, seed)
     if checkpoint is not None and checkpoint.exists():
-        _resume(run, checkpoint, identity)
-    while run.step < training.steps and not _is_exhausted(run, data.held_out, training):
+        run.resume(checkpoint, identity=identity)
+    while run.step < training.steps and not (
+        data.held_out and run.is_exhausted(training.validate_every)
+    ):
         training_loss = _advance(run, data.table, training, seed)
         loss = None if data.held_out is None else _validate(run, data.held_out, training)
         run.curve.append((run.step, training_loss, loss))
         if checkpoint is not None:
-            save_checkpoint(
-                checkpoint,
-                run.network,
-                run.optimiser,
-                identity=identity,
-                state={name: getattr(run, name) for name in _PROGRESS},
-                tensors={f"best {i}": weight for i, weight in enumerate(run.best_weights)},
-            )
+            run.save(checkpoint, identity=identity)
         on_progress(Progress(run.step, training.steps, training_loss, loss))
     if checkpoint is not None:
         checkpoint.unlink(missing_ok=True)
-
-
-def _resume(run: _Run, checkpoint: Path, identity: str) -> None:
-    """Set all that changes during a training to what a checkpoint holds."""
-    state, tensors = load_checkpoint(checkpoint, run.network, run.optimiser, identity=identity)
-    run.best_weights = [tensors[f"best {i}"] for i in range(len(run.best_weights))]
-    for name in _PROGRESS:
-        setattr(run, name, state[name])
 
 
 @contextmanager
@@ -267,14 +238,16 @@ def _draw(table: PointTable, training: Training, seed: int, step: int) -> PairBa
     return draw_pairs(table, generator, count=training.batch, soft_label=training.soft_label)
 
 
-def _start(training: Training, seed: int, device: torch.device) -> _Run:
+def _start(training: Training, seed: int, device: torch.device) -> Run[torch.nn.Sequential]:
     widths = [training.recipe.width, *training.hidden, training.outputs]
     network = seeded_network(widths, seed, training.patches, training.convolutions).to(device)
     optimiser = adam_with_moments(network, rate=training.learning_rate)
-    return _Run(network, optimiser, 0, float("inf"), 0, _weights(network), [])
+    return first_run(network, optimiser)
 
 
-def _advance(run: _Run, table: PointTable, training: Training, seed: int) -> float:
+def _advance(
+    run: Run[torch.nn.Sequential], table: PointTable, training: Training, seed: int
+) -> float:
     """Train to the next validation, or the last step; the mean loss of a pair on the way."""
     stop = min(run.step + training.validate_every, training.steps)
     losses = []
@@ -343,26 +316,15 @@ def _dropped(
     return described * kept / (1 - training.dropout)
 
 
-def _validate(run: _Run, held_out: _HeldOut, training: Training) -> float:
+def _validate(run: Run[torch.nn.Sequential], held_out: _HeldOut, training: Training) -> float:
     """The loss on the validation pairs; the weights are noted if they are the best so far."""
     with torch.no_grad():
         losses = [
             _losses(run.network, held_out.table, batch, training) for batch in held_out.batches
         ]
     mean = float(torch.cat(losses).double().mean())
-    if mean < run.best_loss:
-        run.best_loss, run.best_step = mean, run.step
-        run.best_weights = _weights(run.network)
+    run.note(mean)
     return mean
-
-
-def _is_exhausted(run: _Run, held_out: _HeldOut | None, training: Training) -> bool:
-    waited = run.step - run.best_step
-    return held_out is not None and waited >= _PATIENCE * training.validate_every
-
-
-def _weights(network: torch.nn.Sequential) -> list[torch.Tensor]:
-    return [parameter.detach().clone() for parameter in network.parameters()]
 
 
 def _layers(weights: list[torch.Tensor]) -> tuple[Layer, ...]:
@@ -386,7 +348,11 @@ def _content(table: PointTable) -> list[npt.NDArray[Any]]:
 
 
 def _card(
-    collection: Collection, validation: Collection | None, training: Training, seed: int, run: _Run
+    collection: Collection,
+    validation: Collection | None,
+    training: Training,
+    seed: int,
+    run: Run[torch.nn.Sequential],
 ) -> dict[str, Any]:
     settings = asdict(training)
     del settings["recipe"]  # the model has it
