@@ -13,6 +13,7 @@ from esd.learning.table import PointTable
 torch = pytest.importorskip("torch", reason="training needs the extra `train`")
 from esd.learning import train as alone  # noqa: E402
 from esd.learning.architecture import judge_many, train_many  # noqa: E402
+from esd.learning.run import weights_of  # noqa: E402
 
 TRAINING = Training(Recipe((Descriptor("hks", 12),)), hidden=(), outputs=4, batch=32, steps=25)
 HIDDEN = [(9, 5), (7, 7), (12, 2)]
@@ -38,7 +39,7 @@ def test_networks_trained_at_once_are_those_trained_alone(table, hidden):
         training = replace(short, hidden=widths)
         run = alone._start(training, 3, torch.device("cpu"))
         alone._advance(run, table, training, 3)
-        layers = alone._layers(alone._weights(run.network))
+        layers = alone._layers(weights_of(run.network))
         for (weight, bias), layer in zip(together, layers, strict=True):
             outputs, inputs = layer.weight.shape
             np.testing.assert_allclose(weight[i, :inputs, :outputs].T, layer.weight, atol=1e-6)
