@@ -19,6 +19,10 @@ from scipy.spatial import KDTree
 from esd.common import FloatArray, InputError, IntArray, existing_file, reason, whole_file
 from esd.mesh.mesh import Mesh, PointCloud
 
+_MARKUPS_SCHEMA = (
+    "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/"
+    "Schema/markups-schema-v1.0.3.json#"
+)
 _TOLERANCE = 0.05  # of the bounding diagonal: a click is off by this much at most
 _UNITS = {
     "metres to millimetres": 1000.0,
@@ -301,7 +305,7 @@ def _write_markups(rows: list[_Row]) -> str:
             {"id": str(number), "label": row.name, "position": place, "positionStatus": status}
         )
     markup = {"type": "Fiducial", "coordinateSystem": "LPS", "controlPoints": points}
-    return json.dumps({"markups": [markup]}, indent=1) + "\n"
+    return json.dumps({"@schema": _MARKUPS_SCHEMA, "markups": [markup]}, indent=1) + "\n"
 
 
 def _to_lps(system: str) -> int:
