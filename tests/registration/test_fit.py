@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from scipy.spatial import KDTree
 
 from esd.common import InputError
 from esd.mesh.mesh import Mesh, PointCloud
@@ -52,6 +53,21 @@ def test_where_the_scan_has_nothing_the_template_is_carried_on(template):
     assert not found.supported[template.vertices[:, 0] > 1.0].any()
     # nothing moved: what is missing is the template's own
     assert np.abs(found.vertices - template.vertices).max() < 0.1
+
+
+def test_matches_of_a_missing_half_with_the_other_half_are_given_up(template):
+    kept = (template.vertices[template.faces][:, :, 0] < 0.5).all(axis=1)
+    scan = Mesh(template.vertices, template.faces[kept])
+    covered = np.zeros(len(template.vertices), dtype=bool)
+    covered[scan.faces] = True
+    reflected = template.vertices * [-1.0, 1.0, 1.0]
+    other = KDTree(np.where(covered[:, None], template.vertices, 9.0)).query(reflected)[1]
+    index = np.where(covered, np.arange(len(covered)), other)
+    found = fit(template, scan, index, np.where(covered, 1.0, 0.7))
+    far = template.vertices[:, 0] > 1.0
+    assert not found.supported[far].any()
+    assert found.supported[template.vertices[:, 0] < 0].mean() > 0.95
+    assert np.abs(found.vertices - template.vertices)[far].max() < 0.4
 
 
 def test_points_are_scans_as_well(template):

@@ -29,7 +29,7 @@ from esd.spectral.cache import content_key, default_cache
 
 _log = logging.getLogger(__name__)
 
-_VERSION = 1  # part of the fingerprints; raised when a registration may change
+_VERSION = 2  # part of the fingerprints; raised when a registration may change
 
 
 @dataclass(frozen=True, slots=True)

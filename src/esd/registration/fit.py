@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +13,7 @@ from esd.mesh.geometry import is_referenced, surface_area, vertex_normals
 from esd.mesh.mesh import Mesh, PointCloud
 from esd.mesh.surface import closest_points, interpolated, positions
 from esd.mesh.topology import boundary_edges, edge_table
+from esd.registration.claims import claims
 from esd.registration.elastic import Elastic, Pull, elastic
 
 _MAP_LENGTHS = (0.3, 0.2, 0.12, 0.08, 0.05, 0.05, 0.05, 0.05)
@@ -23,6 +24,7 @@ _TRUST = (0.3, 0.04)  # in √area: residual that quarters the weight of a match
 _TANGENTIAL = 0.05  # weight of a nearest point along the surface, beside that along its normal
 _REACH = (0.1, 0.03)  # in √area: farthest nearest point that counts; first and last round
 _ORIENTED = 0.1  # in √area: length of the normals beside positions, as nearest points are sought
+_UNMATCHED = 0.1  # weight of the claim to a nearest point without a match, beside a sure match
 _LEAST_COSINE = 0.5  # of the normals at a vertex and at its nearest point
 _FILLINGS = 4  # of the surroundings of inverted faces, each wider
 _SMOOTHINGS = 100  # of what is still inverted then
@@ -62,7 +64,9 @@ def fit(
     First the vertices are drawn to their images under the map, robustly; then also to the nearest
     points of the scan's surface, along its normals, where the normals agree. Both are weighed
     against the energy of an as-rigid-as-possible deformation, which becomes softer from round to
-    round; it alone decides where the scan has nothing. Last, inverted faces are turned back.
+    round; it alone decides where the scan has nothing. Of distant parts of the template at one
+    place of the scan, only the one with the better claim is drawn there, see
+    `esd.registration.claims`. Last, inverted faces are turned back.
 
     Parameters
     ----------
@@ -92,9 +96,15 @@ def fit(
     if start is None and not weight.any():
         raise InputError("No vertex of the template has a match on the scan.")
     image = scan.vertices[target_index]
+    body = elastic(template)
+    parts = claims(body)
     if start is None:
+        unit = _scale(template, scan, target_index, weight) * body.unit
+        there = _normals(scan)[target_index]
+        weight = np.where(parts.contested(image, there, weight, unit=unit), 0.0, weight)
         scale = _scale(template, scan, target_index, weight)
-    body = elastic(Mesh(scale * template.vertices, template.faces))
+    # stiffness is independent of the scale
+    body = replace(body, rest=scale * body.rest, unit=scale * body.unit)
     unit = body.unit
 
     def matched(vertices: npt.NDArray[np.float64], trust: float) -> npt.NDArray[np.float64]:
@@ -112,15 +122,19 @@ def fit(
         near = surface.nearest(
             vertices, vertex_normals(Mesh(vertices, template.faces)), _between(_REACH, share) * unit
         )
-        by_map = (1 - share) * matched(vertices, _TRUST[-1])
-        along = near.accepted.astype(float)
+        by_map = matched(vertices, _TRUST[-1])
+        gap = np.linalg.norm(near.points - vertices, axis=1)
+        claim = near.accepted * (_UNMATCHED + by_map) / (1 + (gap / (_TRUST[-1] * unit)) ** 2) ** 2
+        accepted = near.accepted & ~parts.contested(near.points, near.normals, claim, unit=unit)
+        along = accepted.astype(float)
+        by_map *= 1 - share
         total = by_map + _TANGENTIAL * along
         position = by_map[:, None] * image + (_TANGENTIAL * along)[:, None] * near.points
         position /= np.maximum(total, np.finfo(float).tiny)[:, None]
         height = (near.points * near.normals).sum(axis=1)
         vertices = body.drawn(vertices, Pull(position, total, near.normals, height, along), length)
     vertices = without_inverted(body, vertices, template.faces)
-    return Fit(vertices, near.accepted, scale)
+    return Fit(vertices, accepted, scale)
 
 
 def is_inverted(mesh: Mesh) -> BoolArray:
@@ -237,10 +251,15 @@ class _Surface:
 def _surface(scan: Mesh | PointCloud, reach: float) -> _Surface:
     count = len(scan.vertices)
     is_rim = np.zeros(count, dtype=bool)
+    normals = _normals(scan)
     if isinstance(scan, PointCloud):
-        normals: FloatArray = np.zeros_like(scan.vertices)
         return _Surface(scan, KDTree(scan.vertices), np.arange(count), normals, is_rim, reach)
-    used, normals = np.flatnonzero(is_referenced(scan)), vertex_normals(scan)
+    used = np.flatnonzero(is_referenced(scan))
     is_rim[boundary_edges(scan)] = True
     tree = KDTree(np.hstack([scan.vertices, reach * normals])[used])
     return _Surface(scan, tree, used, normals, is_rim, reach)
+
+
+def _normals(scan: Mesh | PointCloud) -> FloatArray:
+    """Of the vertices, (n, 3); zero for points, whose normals are not known."""
+    return vertex_normals(scan) if isinstance(scan, Mesh) else np.zeros_like(scan.vertices)
