@@ -13,6 +13,14 @@ its default steps, and libigl's as-rigid-as-possible deformation. Both take matc
 those of 300 vertices spread over the template, and of the most confident half of these. Seconds
 are of the processor.
 
+    python benchmarks/registration.py ../shared/data/faust_r --partial
+
+cuts parts off eight of the scans and prints, for each, the errors of the vertices where the scan
+has something, beside those of the map and of nearest points alone, and where it has nothing; there
+also the share of vertices that the map leaves unmatched, and that are said to be supported. Limbs
+are cut off at a geodesic distance from the tip of the hand or foot, in shares of the longest
+extent; other cuts are those of `esd.datasets.parts`.
+
     python benchmarks/registration.py --animation 10
 
 registers a body that ships with the package to frames of another one, remeshed each on its own,
@@ -27,11 +35,15 @@ from importlib import resources
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation, Slerp
 
 import esd
 from esd.datasets.body_pack import posed, read_pack, skinned
 from esd.datasets.folder import read_vts
+from esd.datasets.parts import Perturbed, part_of, part_with
+from esd.mesh.geodesics import geodesic_graph
+from esd.mesh.geometry import surface_area
 from esd.mesh.mesh import Mesh
 from esd.mesh.remesh.remesh import remesh
 from esd.mesh.sampling import spread
@@ -45,10 +57,14 @@ def main() -> None:
     parser.add_argument("--template", default="tr_reg_000")
     parser.add_argument("--scans", default="60-79", help="numbers, or the first and the last")
     parser.add_argument("--peers", action="store_true")
+    parser.add_argument("--partial", action="store_true")
     parser.add_argument("--animation", type=int, metavar="FRAMES", help="of the bodies, instead")
     arguments = parser.parse_args()
     if arguments.animation:
         of_animation(arguments.animation)
+        return
+    if arguments.partial:
+        of_parts(arguments)
         return
     if "-" in arguments.scans:
         first, last = map(int, arguments.scans.split("-"))
@@ -152,6 +168,85 @@ def igl_arap(template: Mesh, scan: Mesh, match: esd.Correspondence) -> np.ndarra
     data.max_iter = 100
     igl.arap_precomputation(template.vertices, template.faces, 3, marks.astype(np.int32), data)
     return np.asarray(igl.arap_solve(images, data, scan.vertices[match.target_index]))
+
+
+LEG, OTHER_LEG, ARM, OTHER_ARM = 0, 1, 2, 3
+CUTS = {  # number of the scan, and limbs with lengths or a kind of part with a seed
+    "leg": (60, [(LEG, 0.42)]),
+    "other leg": (63, [(OTHER_LEG, 0.42)]),
+    "arm": (65, [(ARM, 0.30)]),
+    "shank and forearm": (72, [(OTHER_LEG, 0.25), (OTHER_ARM, 0.2)]),
+    "cut of 20 %": (76, 3),
+    "cut of 35 %": (78, 1),
+    "view": (66, 0),
+    "view, other side": (74, 1),
+}
+
+
+def of_parts(arguments: argparse.Namespace) -> None:
+    template = esd.read_mesh(arguments.folder / "shapes" / f"{arguments.template}.off")
+    here = read_vts(arguments.folder / "corres" / f"{arguments.template}.vts")
+    print(
+        "part | area, % | there: map | error | points only | missing: unmatched, % | supported, % "
+        "| error | points only | distance | inverted | verdict"
+    )
+    for label, (number, cut) in CUTS.items():
+        name = f"tr_reg_{number:03d}"
+        whole = esd.read_mesh(arguments.folder / "shapes" / f"{name}.off")
+        there = read_vts(arguments.folder / "corres" / f"{name}.vts")
+        if isinstance(cut, int):
+            part = part_of(whole, label.partition(",")[0], seed=cut)
+        else:
+            part = without_limbs(whole, there[limb_tips(template, here)], cut)
+        scan, extent = part.mesh, np.ptp(whole.vertices, axis=0).max()
+        match = esd.match(template, scan, mirror="no")
+        found = esd.register(template, scan, correspondence=match)
+        alone = points_only(template, scan, match.target_index)
+        true, index = whole.vertices[there], match.target_index[here]
+        present = part.vertex_index[there] >= 0
+        matched = present & (index >= 0)
+        gaps = [
+            np.linalg.norm(points - true, axis=1) / extent
+            for points in (scan.vertices[index], found.mesh.vertices[here], alone.vertices[here])
+        ]
+        row = (
+            surface_area(scan) / surface_area(whole),
+            gaps[0][matched].mean(),
+            *(gap[present].mean() for gap in gaps[1:]),
+            (index[~present] < 0).mean(),
+            found.supported[here[~present]].mean(),
+            *(gap[~present].mean() for gap in gaps[1:]),
+            found.quality.relative_distance,
+        )
+        figures = " | ".join(f"{100 * value:.2f}" for value in row)
+        verdict = match.judgement.verdict if match.judgement else ""
+        print(label, figures, found.quality.inverted, verdict, sep=" | ", flush=True)
+
+
+def limb_tips(mesh: Mesh, rows: np.ndarray) -> np.ndarray:
+    """Which of the rows are the tips of both legs and both arms of an upright body, y up.
+
+    The vertices farthest from the middle and from each other are these and the top of the head.
+    """
+    graph = geodesic_graph(mesh)
+    middle = mesh.vertices.mean(axis=0)
+    tips = [int(np.linalg.norm(mesh.vertices - middle, axis=1).argmin())]
+    for _ in range(5):
+        tips.append(int(graph.distances_to_any(np.array(tips)).argmax()))
+    by_height = sorted(tips[1:], key=lambda tip: mesh.vertices[tip, 1])  # feet, hands, head
+    pairs = [
+        sorted(pair, key=lambda tip: -mesh.vertices[tip, 0])
+        for pair in (by_height[:2], by_height[2:4])
+    ]
+    return KDTree(mesh.vertices[rows]).query(mesh.vertices[np.concatenate(pairs)])[1]
+
+
+def without_limbs(mesh: Mesh, tips: np.ndarray, limbs: list[tuple[int, float]]) -> Perturbed:
+    graph, extent = geodesic_graph(mesh), np.ptp(mesh.vertices, axis=0).max()
+    gone = np.zeros(len(mesh.vertices), dtype=bool)
+    for limb, share in limbs:
+        gone |= graph.distances_to_any(tips[limb : limb + 1]) < share * extent
+    return part_with(mesh, ~gone[mesh.faces].any(axis=1))
 
 
 def landmarks(template: Mesh, match: esd.Correspondence) -> np.ndarray:

@@ -8,7 +8,6 @@ from esd.mesh.shapes import subdivide, torus
 from esd.registration.claims import Claims, claims
 from esd.registration.elastic import elastic
 
-
 RING = subdivide(torus(32, 12))
 UNIT = surface_area(RING) ** 0.5
 
