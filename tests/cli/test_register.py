@@ -6,14 +6,18 @@ import numpy as np
 import pytest
 
 from command import run
+from esd.cli.register import register
+from esd.matching.correspondence import Correspondence
 from esd.mesh.io.meshes import read_mesh, write_mesh
+from esd.mesh.io.ply import ply_bytes, ply_elements
 from esd.mesh.mesh import Mesh
 
 
 def test_a_template_is_registered_with_a_map(blob, tmp_path):
     scan = Mesh(blob.vertices[:, [1, 2, 0]] * 2, blob.faces)
     files = [tmp_path / name for name in ("template.ply", "scan.ply", "map.npy", "out.ply")]
-    write_mesh(blob, files[0])
+    labels = np.arange(len(blob.faces), dtype="<i4")
+    files[0].write_bytes(ply_bytes(blob, {"side": blob.vertices[:, 0]}, {"label": labels}))
     write_mesh(scan, files[1])
     np.save(files[2], np.arange(len(blob.vertices)))
     done = run("register", *files[:2], "--map", files[2], "-o", files[3], "--json")
@@ -25,10 +29,31 @@ def test_a_template_is_registered_with_a_map(blob, tmp_path):
     assert np.linalg.norm(found.vertices - scan.vertices, axis=1).mean() < 0.02 * np.ptp(
         scan.vertices
     )
+    elements = ply_elements(files[3])
+    np.testing.assert_array_equal(elements["vertex"]["side"], blob.vertices[:, 0])
+    np.testing.assert_array_equal(elements["face"]["label"], labels)
     before = files[3].read_bytes()
     again = run("register", *files[:2], "--map", files[2], "-o", files[3], expect=1)
     assert "--force" in again.stderr
     assert files[3].read_bytes() == before
+
+
+def test_landmarks_lead_the_map(blob, tmp_path, monkeypatch):
+    files = [tmp_path / name for name in ("template.off", "scan.off", "out.off", "pairs.csv")]
+    write_mesh(blob, files[0])
+    write_mesh(blob, files[1])
+    files[3].write_text("source,target\n5,6\n70,71\n900,901\n")
+    given = []
+
+    def true(source, target, *, landmarks, **options):
+        given.append(landmarks.tolist())
+        count = len(blob.vertices)
+        return Correspondence(np.arange(count), np.zeros(count), np.ones(count))
+
+    monkeypatch.setattr("esd.registration.register.match", true)
+    register(files[0], [files[1]], files[2], landmarks=files[3:])
+    assert given == [[[5, 6], [70, 71], [900, 901]]]
+    assert np.array_equal(read_mesh(files[2]).faces, blob.faces)
 
 
 def test_outputs_never_replace_inputs_and_options_exclude_each_other(blob, tmp_path):

@@ -16,7 +16,7 @@ from esd.mesh.io.attributes import (
     write_with_attributes,
 )
 from esd.mesh.io.meshes import read_mesh, write_mesh
-from esd.mesh.io.ply import ply_elements
+from esd.mesh.io.ply import ply_bytes, ply_elements
 from esd.mesh.io.textures import Texture, read_texture, write_textured
 from esd.mesh.mesh import Mesh
 from esd.mesh.shapes import grid, torus
@@ -216,6 +216,51 @@ def test_numbers_at_the_vertices_of_a_ply_file_stay(tmp_path, form):
     for name, (_, kind) in kinds.items():
         np.testing.assert_array_equal(vertex[name], values[name])
         assert vertex[name].dtype.str[1:] == kind[1:]
+
+
+def test_numbers_at_faces_go_along(tmp_path):
+    mesh = grid(3, 3)
+    labels = np.arange(len(mesh.faces), dtype="<i2")
+    (tmp_path / "a.ply").write_bytes(ply_bytes(mesh, {}, {"label": labels, "value": labels / 3}))
+    moved = Mesh(mesh.vertices + 1, mesh.faces)
+    write_mesh_like(moved, tmp_path / "b.ply", original=tmp_path / "a.ply")
+    assert np.array_equal(read_mesh(tmp_path / "b.ply").faces, mesh.faces)
+    face = ply_elements(tmp_path / "b.ply")["face"]
+    np.testing.assert_array_equal(face["label"], labels)
+    np.testing.assert_array_equal(face["value"], labels / 3)
+    assert face["label"].dtype.str[1:] == "i2"
+
+
+def test_groups_and_places_on_an_image_of_an_obj_file_go_along(tmp_path):
+    text = """# made by hand
+mtllib a.mtl
+o square
+v 0 0 0 1 0 0
+v 1 0 0 0 1 0
+v 1 1 0 0 0 1 # last but one
+v 0 1 0 1 1 1
+vt 0 0
+vt 1 1
+vn 0 0 1
+g left
+usemtl skin
+f 1/1/1 2/2/1 3/1/1 \\
+4/2/1
+g right
+f 1//1 2//1 3//1
+"""
+    (tmp_path / "a.obj").write_text(text)
+    mesh = read_mesh(tmp_path / "a.obj")
+    moved = Mesh(mesh.vertices + 0.5, mesh.faces)
+    write_mesh_like(moved, tmp_path / "b.obj", original=tmp_path / "a.obj")
+    found = read_mesh(tmp_path / "b.obj")
+    np.testing.assert_array_equal(found.vertices, moved.vertices)
+    np.testing.assert_array_equal(found.faces, mesh.faces)
+    lines = (tmp_path / "b.obj").read_text().splitlines()
+    assert lines[:3] == ["# made by hand", "o square", "v 0.5 0.5 0.5 1 0 0"]
+    assert lines[6:] == [
+        *("vt 0 0", "vt 1 1", "g left", "usemtl skin", "f 1/1 2/2 3/1 4/2", "g right", "f 1 2 3")
+    ]
 
 
 def test_other_formats_take_the_mesh_alone_and_textures_go_along(tmp_path):

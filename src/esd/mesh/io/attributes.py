@@ -15,9 +15,9 @@ import numpy.typing as npt
 from esd.common import InputError, IntArray, whole_file
 from esd.mesh.io.gltf import read_gltf
 from esd.mesh.io.meshes import read_mesh, write_mesh
-from esd.mesh.io.obj import read_obj
+from esd.mesh.io.obj import obj_text_like, read_obj
 from esd.mesh.io.ply import ply_bytes, ply_elements
-from esd.mesh.io.textures import TEXTURE_FORMATS, read_texture, write_textured
+from esd.mesh.io.textures import TEXTURE_FORMATS, Texture, read_texture, write_textured
 from esd.mesh.mesh import Mesh, PointCloud
 
 ATTRIBUTE_FORMATS = (".ply", ".vtp")
@@ -116,10 +116,11 @@ def write_coloured(
 def write_mesh_like(
     mesh: Mesh, path: str | os.PathLike[str], *, original: str | os.PathLike[str]
 ) -> None:
-    """Write a mesh with the texture or the vertex attributes of a file of equal connectivity.
+    """Write a mesh with the texture, groups or attributes of a file of equal connectivity.
 
-    Textures go from OBJ and GLB files to such, numbers at vertices from PLY to PLY; between other
-    formats nothing goes along. Normals are left out: they are no longer those of the mesh.
+    Textures go from OBJ and GLB files to such, all but material files from OBJ files without a
+    texture to OBJ, numbers at vertices and faces from PLY to PLY; between other formats nothing
+    goes along. Normals are left out: they are no longer those of the mesh.
 
     Raises
     ------
@@ -129,24 +130,35 @@ def write_mesh_like(
     path, original = Path(path), Path(original)
     suffixes = original.suffix.lower(), path.suffix.lower()
     if all(suffix in TEXTURE_FORMATS for suffix in suffixes):
-        try:
-            texture = read_texture(original)
-        except InputError:  # it has none
-            write_mesh(mesh, path)
-            return
-        if len(texture.coordinates) == len(mesh.faces):
+        texture = _texture(original)
+        if texture is not None and len(texture.coordinates) == len(mesh.faces):
             write_textured(mesh, texture, path)
             return
-    if suffixes == (".ply", ".ply"):
-        kept = {
-            name: values
-            for name, values in ply_elements(original)["vertex"].items()
-            if name not in _OWN and not isinstance(values, tuple)
-        }
+    if suffixes == (".obj", ".obj"):
         with whole_file(path) as temporary:
-            temporary.write_bytes(ply_bytes(mesh, kept))
-        return
-    write_mesh(mesh, path)
+            temporary.write_text(obj_text_like(mesh, original), encoding="utf-8")
+    elif suffixes == (".ply", ".ply"):
+        elements = ply_elements(original)
+        kept, of_faces = (
+            {
+                name: values
+                for name, values in elements.get(element, {}).items()
+                if name not in _OWN and not isinstance(values, tuple) and len(values) == count
+            }
+            # polygons have more triangles than numbers
+            for element, count in (("vertex", len(mesh.vertices)), ("face", len(mesh.faces)))
+        )
+        with whole_file(path) as temporary:
+            temporary.write_bytes(ply_bytes(mesh, kept, of_faces))
+    else:
+        write_mesh(mesh, path)
+
+
+def _texture(path: Path) -> Texture | None:
+    try:
+        return read_texture(path)
+    except InputError:  # it has none
+        return None
 
 
 def _ply_columns(attributes: Mapping[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[Any]]:

@@ -105,6 +105,28 @@ def obj_text(mesh: Mesh) -> str:
     return "\n".join([*lines, ""])
 
 
+def obj_text_like(mesh: Mesh, original: Path) -> str:
+    """An OBJ file with the vertices of a mesh, and all else of a file that has as many.
+
+    Polygons, groups, names of materials, texture coordinates and colours of vertices stay. Normals
+    and material files are left out: they are not those of the new file.
+    """
+    text = original.read_text(encoding="utf-8-sig", errors="replace").replace("\\\r\n", " ")
+    rows = iter(mesh.vertices.tolist())
+    lines = []
+    for line in text.replace("\\\n", " ").splitlines():
+        words = line.partition("#")[0].split()
+        kind = words[0] if words else ""
+        if kind == "v":
+            lines.append(" ".join(["v", *map(repr, next(rows)), *words[4:]]))
+        elif kind == "f":
+            corners = (corner.split("/")[:2] for corner in words[1:])
+            lines.append(" ".join(["f", *("/".join(filter(None, each)) for each in corners)]))
+        elif kind not in ("vn", "mtllib"):
+            lines.append(line)
+    return "\n".join([*lines, ""])
+
+
 def _colours(lines: list[list[str]], count: int) -> FloatArray:
     """Colours (n, 3) of the vertices, as MeshLab and ZBrush write them; (0, 3) for none."""
     rows = [words[4:7] for words in lines if words[0] == "v" and len(words) >= 7]

@@ -109,28 +109,50 @@ def ply_elements(path: Path) -> dict[str, dict[str, Array | Lists]]:
     return result
 
 
-def ply_bytes(mesh: Mesh | PointCloud, attributes: Mapping[str, Array] | None = None) -> bytes:
-    """A binary PLY file of a shape, coordinates of 64 bits, with numbers (n,) at its vertices.
+def ply_bytes(
+    mesh: Mesh | PointCloud,
+    attributes: Mapping[str, Array] | None = None,
+    face_attributes: Mapping[str, Array] | None = None,
+) -> bytes:
+    """A binary PLY file of a shape, coordinates of 64 bits, with numbers at vertices and faces.
 
     Integers of 64 bits, which PLY does not have, become floating-point numbers.
     """
-    columns = dict(zip("xyz", mesh.vertices.T.astype("<f8"), strict=True))
-    for name, values in (attributes or {}).items():
-        kind = values.dtype.str[1:]  # PLY has no integers of 64 bits
-        columns[name] = values.astype(f"<{kind}" if kind in _NAMES else "<f8")
+    positions = dict(zip("xyz", mesh.vertices.T.astype("<f8"), strict=True))
+    columns = {**positions, **_columns(attributes or {})}
     vertices = np.empty(len(mesh.vertices), [(name, v.dtype) for name, v in columns.items()])
     for name, values in columns.items():
         vertices[name] = values
     corners = mesh.faces if isinstance(mesh, Mesh) else np.zeros((0, 3), dtype=np.int64)
-    faces = np.empty(len(corners), dtype=[("count", "u1"), ("corners", "<i4", 3)])
+    of_faces = _columns(face_attributes or {})
+    faces = np.empty(
+        len(corners),
+        [("count", "u1"), ("corners", "<i4", 3), *((n, v.dtype) for n, v in of_faces.items())],
+    )
     faces["count"], faces["corners"] = 3, corners
+    for name, values in of_faces.items():
+        faces[name] = values
     head = [
         f"ply\nformat binary_little_endian 1.0\nelement vertex {len(vertices)}",
-        *(f"property {_NAMES[values.dtype.str[1:]]} {name}" for name, values in columns.items()),
+        *_properties(columns),
         f"element face {len(faces)}",
-        "property list uchar int vertex_indices\nend_header\n",
+        "property list uchar int vertex_indices",
+        *_properties(of_faces),
+        "end_header\n",
     ]
     return "\n".join(head).encode() + vertices.tobytes() + faces.tobytes()
+
+
+def _columns(attributes: Mapping[str, Array]) -> dict[str, Array]:
+    """Numbers in the types that PLY has, in little-endian order."""
+    return {
+        name: values.astype(f"<{kind}" if (kind := values.dtype.str[1:]) in _NAMES else "<f8")
+        for name, values in attributes.items()
+    }
+
+
+def _properties(columns: Mapping[str, Array]) -> list[str]:
+    return [f"property {_NAMES[v.dtype.str[1:]]} {name}" for name, v in columns.items()]
 
 
 def _header(content: bytes) -> tuple[list[_Element], str, int]:
