@@ -1,6 +1,10 @@
 """`esd atlas`."""
 
 import json
+import os
+import signal
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -70,6 +74,65 @@ def test_what_cannot_be_done_is_refused_before_anything_is(
     assert (tmp_path / "full" / "a.txt").read_text() == "kept"
     assert not (tmp_path / "out" / "scores.csv").exists()
     assert len(list(ellipsoids.iterdir())) == 5
+
+
+KILLED = """
+import os, signal, sys
+from esd.cli import main
+from esd.common import whole_file
+
+name, call = sys.argv[1].rsplit(".", 1)
+del sys.argv[1]
+calls = int(os.environ["CALLS"])
+
+def dies(*arguments, **options):
+    global calls
+    calls -= 1
+    if calls < 0:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return before(*arguments, **options)
+
+module = __import__(name, fromlist=[call])
+before = getattr(module, call)
+setattr(module, call, dies)
+main()
+"""
+
+
+def content(folder):
+    """All that an atlas consists of, and the names of its files."""
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    # archives hold the time
+    texts = [path.read_bytes() for path in files if path.suffix != ".npz"]
+    with np.load(folder / "model.npz") as model:
+        arrays = [model[name].tobytes() for name in sorted(model)]
+    return [path.relative_to(folder) for path in files], texts, arrays
+
+
+def test_a_run_that_is_killed_anywhere_resumes_with_the_same_result(shapes, tmp_path):
+    options = [shapes, "--model", "gps", "--keep-failed", "--workers", "1"]
+    run("atlas", *options, "-o", tmp_path / "at_once")
+    steps = [
+        ("esd.population.atlas.shape_dna", 2),  # some shapes are looked at as templates
+        ("esd.population.atlas._write_settings", 0),  # the template is written, not its name
+        ("esd.population.registering.register", 1),  # one shape is registered
+        ("esd.population.registering.asdict", 1),  # another one, but for its figures
+        ("esd.population.atlas.principal_components", 0),
+        ("numpy.savez_compressed", 0),  # a file is begun
+        ("esd.population.files._write_table", 1),  # some tables are there
+        ("esd.viewing.report.report", 0),
+    ]
+    for place, calls in steps:
+        killed = subprocess.run(
+            [sys.executable, "-c", KILLED, place, "atlas", *options, "-o", tmp_path / "killed"],
+            env={**os.environ, "CALLS": str(calls)},
+            check=False,
+            capture_output=True,
+        )
+        assert killed.returncode == -signal.SIGKILL, (place, killed.stderr)
+    summary = json.loads(run("atlas", *options, "-o", tmp_path / "killed", "--json").stdout)
+    assert summary["computed"] == 0  # all were registered before the statistics
+    assert content(tmp_path / "killed") == content(tmp_path / "at_once")
 
 
 def test_a_model_is_trained_once(ellipsoids, tmp_path, monkeypatch):

@@ -57,6 +57,7 @@ _OWN = {
     *(_SETTINGS_FILE, _TEMPLATE_FILE, _REGISTERED, TRAINED, f"{TRAINED}.checkpoint"),
     *("model.npz", "mean.ply", "scores.csv", "modes.csv", "shapes.csv", "report.html"),
 }
+_UNFINISHED = ".esd-"  # begins names of files that `whole_file` has not finished
 _FAR = 0.01  # of the extent: mean distance to the scan beyond which a registration has failed
 _OTHER_UNIT = 5.0  # times larger or smaller than the median: not a size but a unit of length
 _FEWEST_SEEN = 2  # shapes that must have a vertex for it to be in the statistics
@@ -249,7 +250,11 @@ def atlas(
 def is_atlas_folder(folder: str | os.PathLike[str]) -> bool:
     """Whether a folder holds what an atlas consists of, whole or begun, and nothing else."""
     folder = Path(folder)
-    return folder.is_dir() and {path.name for path in folder.iterdir()} <= _OWN
+    return (
+        folder.is_dir()
+        and {path.name for path in folder.iterdir() if not path.name.startswith(_UNFINISHED)}
+        <= _OWN
+    )
 
 
 def _collection(shapes: Collection | str | os.PathLike[str] | Sequence[MeshLike]) -> Collection:
@@ -316,6 +321,10 @@ def _start_folder(folder: Path, settings: dict[str, Any], *, renew: bool) -> Non
         raise InputError(f"'{folder}' cannot be written to: {error.strerror}.") from error
     if is_taken and not renew:
         raise InputError(f"'{folder}' holds other files and no atlas; choose an empty folder.")
+    for place in (folder, folder / _REGISTERED):
+        for left in place.glob(f"{_UNFINISHED}*"):  # by a process that was killed
+            if left.is_file():
+                left.unlink(missing_ok=True)
     wanted = {"format": _FORMAT, **settings}
     if path.exists() and not renew:
         known = _known_settings(path)
