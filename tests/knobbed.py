@@ -1,7 +1,10 @@
 """Shapes of one class, each of its own connectivity, whose correspondences are known."""
 
+from functools import partial
+
 import numpy as np
 
+from esd.datasets.collection import Shape
 from esd.datasets.deformation import deformed
 from esd.descriptors.recipe import Descriptor, Recipe, gradient_recipe
 from esd.mesh.mesh import Mesh
@@ -36,3 +39,12 @@ def order_of(seed: int) -> np.ndarray:
 def truth(source: int, target: int) -> np.ndarray:
     """The vertex of one knobbed ball for each vertex of another."""
     return np.argsort(order_of(target))[order_of(source)]
+
+
+def knobbed_shape(seed: int, *, template: str | None = None) -> Shape:
+    """A knobbed ball that knows its vertices; by a template's name, where they are of each."""
+    everywhere = partial(np.arange, 642)
+    if template is not None:
+        everywhere = partial(np.argsort, order_of(seed))  # the vertex of each one of the ball
+    name = f"s{seed}"
+    return Shape(name, name, template or f"only {name}", partial(knobbed, seed), everywhere)

@@ -4,40 +4,21 @@ from functools import partial
 import numpy as np
 import pytest
 
+from bent import RECIPE, bent, bent_shapes, points
 from esd.common import InputError
-from esd.datasets.collection import Collection, Shape
+from esd.datasets.collection import Collection
 from esd.datasets.open import open_collection
 from esd.datasets.precompute import precompute
 from esd.datasets.store import open_store
-from esd.descriptors.recipe import Descriptor, Recipe, descriptors
-from esd.mesh.mesh import Mesh
+from esd.descriptors.recipe import descriptors
 from esd.mesh.shapes import torus
 from esd.parallel import Workers
-
-RECIPE = Recipe((Descriptor("hks", 6), Descriptor("wks", 5)), eigenpairs=15)
-
-
-def bent(i: int) -> Mesh:
-    mesh = torus(12, 8 + i)
-    return Mesh(mesh.vertices + 0.1 * np.sin(mesh.vertices[:, [1, 2, 0]] * i), mesh.faces)
-
-
-def points(i: int) -> np.ndarray:
-    index = np.arange(60) + i
-    index[7] = -1
-    return index
 
 
 @pytest.fixture
 def collection() -> Collection:
     """Shapes in an order that is not that of their names."""
-    return Collection(
-        "bent",
-        tuple(
-            Shape(f"c{i}", f"s{i}", "t", partial(bent, i), partial(points, i)) for i in (2, 0, 1)
-        ),
-        ("s2",),
-    )
+    return bent_shapes((2, 0, 1))
 
 
 def test_a_store_holds_what_is_computed_directly(collection, tmp_path):

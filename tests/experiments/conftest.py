@@ -5,19 +5,11 @@ import numpy as np
 import pytest
 
 from esd.datasets.collection import Collection, Shape
-from esd.experiments import (
-    architecture,
-    costs,
-    dimension,
-    setting,
-    table2,
-)
+from esd.experiments import architecture, costs, dimension, setting, table2
 from esd.experiments.setting import Setting
 from esd.mesh.mesh import Mesh
 from esd.mesh.shapes import torus
 from esd.spectral.cache import Cache
-
-pytest.importorskip("torch", reason="training needs the extra `train`")
 
 
 @contextmanager
@@ -34,6 +26,7 @@ def bent(i):
 @pytest.fixture(scope="session")
 def made(tmp_path_factory):
     """A setting of four subjects, whose trainings all experiments share."""
+    pytest.importorskip("torch", reason="training needs the extra `train`")
     patch = pytest.MonkeyPatch()
     patch.setattr(setting, "_QUICK_STEPS", 30)
     patch.setattr(architecture, "_QUICK_STEPS", 3)
@@ -68,3 +61,16 @@ def compared(made, monkeypatch):
     monkeypatch.setattr(table2, "_QUICK_STEPS", dict.fromkeys(table2.LEARNED.values(), 4))
     monkeypatch.setattr(costs, "ProcessPoolExecutor", in_this_process)
     return made
+
+
+@pytest.fixture
+def drawn(tmp_path):
+    """Draws figures to files, and says their names."""
+
+    def names(figures):
+        for name, figure in figures.items():
+            figure.savefig(tmp_path / f"{name}.png")
+            assert (tmp_path / f"{name}.png").stat().st_size > 5000
+        return set(figures)
+
+    return names

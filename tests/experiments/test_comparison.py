@@ -4,13 +4,9 @@ import numpy as np
 import pytest
 
 from esd.evaluation.errors import truth_of
-from esd.experiments import (
-    comparison,
-)
+from esd.experiments import comparison
 from esd.mesh.geometry import vertex_areas
 from esd.mesh.mesh import Mesh
-
-pytest.importorskip("torch", reason="training needs the extra `train`")
 
 
 def test_points_are_sampled_by_area_and_disparity_is_none_without_change(made):

@@ -1,12 +1,6 @@
 import time
 
-import pytest
-
-from esd.experiments import (
-    setting,
-)
-
-pytest.importorskip("torch", reason="training needs the extra `train`")
+from esd.experiments import setting
 
 
 def test_processor_time_of_a_resumed_training_is_that_of_all_its_steps():

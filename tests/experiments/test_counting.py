@@ -1,16 +1,11 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from esd.evaluation.errors import truth_of
-from esd.experiments import (
-    counting,
-)
+from esd.experiments import counting
 from esd.learning.model import raw_model
 from esd.mesh.mesh import Mesh
-
-pytest.importorskip("torch", reason="training needs the extra `train`")
 
 
 def test_a_shape_matches_its_copy_everywhere_and_a_wrong_truth_nowhere(made):

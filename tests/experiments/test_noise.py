@@ -7,7 +7,7 @@ import pytest
 from esd.datasets.collection import Collection, Shape
 from esd.datasets.perturb import PERTURBATIONS
 from esd.experiments import noise
-from esd.experiments.noisy_maps import NoisyMaps, mean_error, precision_recall, separation
+from esd.experiments.noisy_maps import mean_error
 from esd.experiments.setting import Setting
 from esd.mesh.mesh import Mesh
 from esd.mesh.shapes import torus
@@ -117,20 +117,3 @@ def test_figures_are_drawn(outcome_and_setting, tmp_path, monkeypatch):
     lines = figures["curves"].axes[0].lines
     assert [line.get_label() for line in lines] == ["0", "0.2"]
     assert lines[0].get_ydata()[-1] == 100
-
-
-def judged(confidence, present) -> NoisyMaps:
-    values = np.array([confidence])
-    return NoisyMaps(
-        "cut", 0.1, "HKS", values, values, values, ("good",), values, np.array([present])
-    )
-
-
-def test_precision_and_recall_of_counterparts():
-    maps = judged([0.9, 0.8, 0.4, 0.2, np.nan], [True, False, True, False, True])
-    precision, recall = precision_recall(maps, np.array([0, 0.5, 0.85, 1]))
-    np.testing.assert_allclose(precision, [0.5, 0.5, 1, 1])
-    np.testing.assert_allclose(recall, [1, 0.5, 0.5, 0])
-    assert separation(maps) == 0.75  # of four pairs one is the wrong way round
-    assert separation(judged([0.5, 0.5], [True, False])) == 0.5
-    assert np.isnan(separation(judged([0.5], [True])))

@@ -1,12 +1,8 @@
 import csv
 import json
 
-import pytest
-
 from esd.experiments.report import Report, Table, write_report
 from esd.experiments.setting import provenance
-
-pytest.importorskip("torch", reason="training needs the extra `train`")
 
 
 def test_reports_hold_tables_figures_and_how_they_were_made(made, tmp_path):

@@ -2,13 +2,9 @@ from dataclasses import replace
 
 import pytest
 
-from esd.experiments import (
-    setting,
-)
+from esd.experiments import setting
 from esd.experiments.setting import fingerprint, shortened, trained
 from esd.learning.presets import PRESETS
-
-pytest.importorskip("torch", reason="training needs the extra `train`")
 
 
 def test_other_data_are_trained_on_anew(made, monkeypatch):

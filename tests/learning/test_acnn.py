@@ -2,16 +2,14 @@ import numpy as np
 import pytest
 from scipy.linalg import eigh
 
-from esd.common import InputError
 from esd.learning.acnn import (
     AnisotropicPatches,
     anisotropic_patches,
     anisotropic_stiffness,
     heat_operator,
 )
-from esd.learning.patches import convolution, patch_operator
 from esd.mesh.geometry import surface_area
-from esd.mesh.mesh import Mesh, PointCloud
+from esd.mesh.mesh import Mesh
 from esd.mesh.shapes import torus
 from esd.spectral.laplacian import lumped_mass, stiffness
 
@@ -100,24 +98,3 @@ def test_patches_hold_the_largest_entries_of_each_kernel(blob):
     kernel[np.argsort(-kernel)[PATCHES.entries :]] = 0
     row = operator[[80 * 7 + 2 * 16 + 4]].toarray()[0]  # the third time, the fifth angle
     assert abs(row - kernel / kernel.sum()).sum() < 0.04  # three steps instead of one: 0.021
-
-
-def test_the_layer_is_linear_in_its_bins(blob):
-    rng = np.random.default_rng(0)
-    values = rng.standard_normal((len(blob.vertices), 3))
-    weight = rng.standard_normal((4, 5, 16, 3)).astype(np.float32)
-    operator = anisotropic_patches(blob, PATCHES)
-    result = convolution(operator, values, weight, turned=False)
-    patch = (operator[80 * 7 : 80 * 8] @ values).reshape(5, 16, 3)
-    np.testing.assert_allclose(result[7], (weight * patch).sum(axis=(1, 2, 3)), rtol=1e-5)
-
-
-def test_patches_of_broken_meshes(blob):
-    loose = Mesh(np.concatenate([blob.vertices, [[9.0, 9, 9]]]), blob.faces)
-    operator = patch_operator(PATCHES, loose)
-    np.testing.assert_allclose(operator.sum(axis=1), 1, atol=1e-6)
-    assert (operator[-80:].indices == len(blob.vertices)).all()  # its own value
-    collapsed = Mesh(blob.vertices, np.concatenate([blob.faces, [[0, 0, 1]]]))
-    assert np.isfinite(patch_operator(PATCHES, collapsed).data).all()
-    with pytest.raises(InputError, match="Points have no faces, which patches need"):
-        patch_operator(PATCHES, PointCloud(blob.vertices))

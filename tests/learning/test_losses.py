@@ -34,3 +34,12 @@ def test_infonce_is_the_cross_entropy_of_finding_the_match():
     ]
     found = infonce_loss(source, target, temperature=0.1)
     torch.testing.assert_close(found, sum(both) / 2)
+
+
+def test_points_near_each_other_are_no_negatives():
+    source, target = torch.eye(3), torch.eye(3)[[0, 2, 1]]
+    near = torch.tensor([[0, 0, 0], [0, 0, 1], [0, 1, 0]], dtype=torch.bool)
+    loss = infonce_loss(source, target, temperature=0.5, ignored=near)
+    e = np.exp
+    # of the second two, whose match is the other's place, only the first is a negative
+    np.testing.assert_allclose(loss, np.log([1 + 2 * e(-2), 1 + 1, 1 + 1]), rtol=1e-6)

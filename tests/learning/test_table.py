@@ -4,32 +4,17 @@ from functools import partial
 import numpy as np
 import pytest
 
+from bent import RECIPE, bent, bent_shapes, points
 from esd.common import InputError
-from esd.datasets.collection import Collection, Shape
-from esd.descriptors.recipe import Descriptor, Recipe
+from esd.datasets.collection import Collection
 from esd.learning.table import point_table, standardisation
-from esd.mesh.mesh import Mesh
 from esd.mesh.shapes import torus
 from esd.parallel import Workers
-
-RECIPE = Recipe((Descriptor("hks", 6), Descriptor("wks", 5)), eigenpairs=15)
-
-
-def bent(i: int) -> Mesh:
-    mesh = torus(12, 8 + i)
-    return Mesh(mesh.vertices + 0.1 * np.sin(mesh.vertices[:, [1, 2, 0]] * i), mesh.faces)
-
-
-def points(i: int) -> np.ndarray:
-    index = np.arange(60) + i
-    index[7 + i] = -1
-    return index
 
 
 @pytest.fixture
 def collection() -> Collection:
-    shapes = [Shape(f"c{i}", f"s{i}", "t", partial(bent, i), partial(points, i)) for i in range(3)]
-    return Collection("bent", tuple(shapes))
+    return bent_shapes(range(3))
 
 
 @pytest.mark.parametrize("count", [None, 30])
@@ -106,3 +91,10 @@ def test_tables_of_16_bits_are_those_of_32_once_they_are_standardised(collection
     # rounded twice to 11 bits, of numbers of some deviations
     np.testing.assert_allclose(there.at(rows), here.at(rows), atol=5e-3)
     assert there.at(rows).dtype == np.float32
+
+
+def test_standardised_columns_have_mean_zero_and_deviation_one(collection):
+    table = point_table(collection, RECIPE)
+    values = table.standardised(*standardisation(table)).values
+    np.testing.assert_allclose(values.mean(axis=0), 0, atol=1e-4)
+    np.testing.assert_allclose(values.std(axis=0), 1, atol=1e-4)

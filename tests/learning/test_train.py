@@ -10,7 +10,7 @@ from esd.datasets.precompute import precompute
 from esd.descriptors.recipe import Descriptor, Recipe, single_recipe
 from esd.learning.device import usable_device
 from esd.learning.presets import Training, preset
-from esd.learning.table import point_table, standardisation, stored_table
+from esd.learning.table import point_table, stored_table
 from esd.parallel import Workers
 
 torch = pytest.importorskip("torch", reason="training needs the extra `train`")
@@ -19,24 +19,6 @@ from esd.learning.train import learning_rate, train  # noqa: E402
 TRAINING = Training(
     Recipe((Descriptor("hks", 12),), eigenpairs=20), hidden=(10,), outputs=4, steps=1500, batch=64
 )
-
-
-def test_standardised_columns_have_mean_zero_and_deviation_one(collection):
-    table = point_table(collection, TRAINING.recipe)
-    values = table.standardised(*standardisation(table)).values
-    np.testing.assert_allclose(values.mean(axis=0), 0, atol=1e-4)
-    np.testing.assert_allclose(values.std(axis=0), 1, atol=1e-4)
-
-
-def test_a_table_of_some_points_has_the_same_points_of_all_shapes(collection):
-    whole = point_table(collection, TRAINING.recipe)
-    some = point_table(collection, TRAINING.recipe, points=40)
-    assert len(some.values) <= 40 * len(collection.shapes)
-    index = np.array([np.flatnonzero((whole.values == row).all(axis=1))[0] for row in some.values])
-    size = len(collection.shapes[0].mesh().vertices)
-    points = {tuple(sorted(index[rows[rows >= 0]] % size)) for rows in some.rows}
-    assert len(points) == 1
-    assert 39 <= len(*points) <= 40  # one point of the template is on no shape
 
 
 def test_infonce_trains_an_embedding_of_unit_length(collection):
@@ -193,21 +175,6 @@ def test_interrupted_training_goes_on_to_the_same_weights(collection, tmp_path):
         np.testing.assert_array_equal(a.weight, b.weight)
         np.testing.assert_array_equal(a.bias, b.bias)
     assert not path.exists()
-
-
-def test_checkpoints_of_other_trainings_are_refused(collection, tmp_path):
-    path = tmp_path / "checkpoint"
-
-    def stop(progress):
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        train(collection, TRAINING, checkpoint=path, on_progress=stop)
-    with pytest.raises(InputError, match="belongs to another training"):
-        train(collection, TRAINING, checkpoint=path, seed=1)
-    path.write_bytes(path.read_bytes()[:50])
-    with pytest.raises(InputError, match="is damaged"):
-        train(collection, TRAINING, checkpoint=path)
 
 
 def test_impossible_trainings_are_refused(collection):

@@ -9,14 +9,11 @@ from esd.datasets.collection import Collection, Shape
 from esd.datasets.deformation import deformed
 from esd.learning.model import load_model, save_model
 from esd.learning.presets import Training, preset
-from esd.learning.samples import collection_samples, moments, shape_samples
 from esd.learning.teacher import FirstMaps
-from esd.mesh.geometry import surface_area
-from esd.mesh.io.landmarks import Landmarks
 from esd.mesh.mesh import Mesh
 from esd.mesh.shapes import torus
 from esd.nearest import nearest
-from knobbed import RECIPE, knobbed, order_of, truth
+from knobbed import RECIPE, knobbed, knobbed_shape, truth
 
 pytest.importorskip("torch", reason="training needs the extra `train`")
 from esd.learning.unsupervised import Teaching, train_unsupervised
@@ -25,19 +22,6 @@ TRAINING = Training(RECIPE, hidden=(64,), outputs=16, limit=8.0, dropout=0.2, lo
 TEACHING = Teaching(
     steps=60, points=642, drawn=500, batch=250, copies=2, learning_rate=1e-2, validate_every=30
 )
-
-
-def shape(seed: int, *, template: str | None = None) -> Shape:
-    everywhere = partial(np.arange, 642)
-    if template is not None:
-        everywhere = partial(np.argsort, order_of(seed))  # the vertex of each one of the ball
-    name = f"s{seed}"
-    return Shape(name, name, template or f"only {name}", partial(knobbed, seed), everywhere)
-
-
-@pytest.fixture(scope="module")
-def unregistered() -> Collection:
-    return Collection("knobbed", tuple(shape(seed) for seed in range(5)))
 
 
 def error(model, first: int, second: int) -> float:
@@ -91,7 +75,7 @@ def test_an_interrupted_training_resumes_to_the_same_weights(unregistered, tmp_p
 
 def test_models_are_saved_with_their_curve_and_can_be_started_from(unregistered, tmp_path):
     short = replace(TEACHING, steps=2, validate_every=1)
-    held = Collection("held", (shape(7),))
+    held = Collection("held", (knobbed_shape(7),))
     model = train_unsupervised(unregistered, TRAINING, teaching=short, validation=held)
     assert all(0 <= point["validation"] <= 1 for point in model.card["curve"])
     assert model.card["validation_shapes"] == ["s7"]
@@ -109,7 +93,12 @@ def test_models_are_saved_with_their_curve_and_can_be_started_from(unregistered,
 def test_known_correspondences_and_broken_shapes_among_others(unregistered):
     flat = Mesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
     broken = Shape("flat", "flat", "only flat", lambda: flat, partial(np.arange, 3))
-    some = (shape(0, template="ball"), shape(1, template="ball"), broken, shape(2))
+    some = (
+        knobbed_shape(0, template="ball"),
+        knobbed_shape(1, template="ball"),
+        broken,
+        knobbed_shape(2),
+    )
     short = replace(TEACHING, steps=2)
     model = train_unsupervised(Collection("some", some), TRAINING, teaching=short)
     assert model.card["shapes"] == ["s0", "s1", "s2"]
@@ -133,43 +122,6 @@ def test_shapes_of_another_class_are_a_group_of_their_own(unregistered):
     mixed = Collection("mixed", (*other, *unregistered.shapes))
     model = train_unsupervised(mixed, TRAINING, teaching=TEACHING)
     assert model.card["groups"][0] == ["s0", "s1", "s2", "s3", "s4"]
-
-
-def test_samples_hold_known_points_and_copies_at_the_same_places():
-    describe = partial(
-        shape_samples, recipe=RECIPE, points=200, eigenfunctions=30, copies=2, seed=0
-    )
-    first, second = (describe(shape(seed, template="ball"), is_known=True) for seed in (0, 1))
-    source, target = first.shared(second)
-    assert len(source) == len(target) == 400
-    assert len(first.values) == 3
-    assert {values.shape for values in first.values} == {(len(first.positions), RECIPE.width)}
-    assert first.eigenvectors.shape == (len(first.positions), 30)
-    assert len(first.closeness) == 32
-    name = next(iter(first.closeness))
-    assert first.closeness[name].argmax() == first.known[name]
-    assert first.closeness[name].max() == pytest.approx(20)
-    assert describe(shape(0)).known == {}
-
-
-def test_moments_are_those_of_all_points_and_copies(unregistered):
-    described = collection_samples(
-        unregistered, recipe=RECIPE, points=100, eigenfunctions=30, copies=1
-    )
-    values = np.concatenate([part for each in described.samples for part in each.values])
-    mean, deviation = moments(described.samples)
-    np.testing.assert_allclose(mean, values.mean(axis=0, dtype=float), rtol=1e-6)
-    np.testing.assert_allclose(deviation, values.std(axis=0, dtype=float), rtol=1e-6)
-
-
-def test_landmarks_are_known_points():
-    landmarks = Landmarks(("nose", "ear", "lost"), np.array([5, 9, -1]))
-    marked = replace(shape(0), landmarks=lambda: landmarks)
-    samples = shape_samples(marked, recipe=RECIPE, points=100, eigenfunctions=30, copies=0, seed=0)
-    assert list(samples.known) == ["landmark nose", "landmark ear"]
-    area = np.sqrt(surface_area(knobbed(0)))
-    places = samples.positions[list(samples.known.values())]
-    np.testing.assert_allclose(places, knobbed(0).vertices[[5, 9]] / area, rtol=1e-5)
 
 
 def test_two_shapes_are_trained_on_with_a_warning(unregistered, caplog):
@@ -225,7 +177,7 @@ def test_first_maps_are_learned_during_the_warm_up_and_say_what_belongs_together
 
 
 def test_doubles_are_left_out(unregistered):
-    twice = replace(shape(0), name="again")
+    twice = replace(knobbed_shape(0), name="again")
     some = replace(unregistered, shapes=(*unregistered.shapes[:3], twice))
     model = train_unsupervised(some, TRAINING, teaching=replace(TEACHING, steps=1))
     assert model.card["shapes"] == ["s0", "s1", "s2"]

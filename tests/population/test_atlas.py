@@ -4,7 +4,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import esd
 from esd.common import InputError
 from esd.datasets.collection import Collection
 from esd.mesh.io.meshes import read_mesh
@@ -12,7 +11,6 @@ from esd.mesh.mesh import Mesh
 from esd.mesh.shapes import icosphere
 from esd.parallel import THIS_PROCESS
 from esd.population.atlas import Atlas, atlas, is_atlas_folder, reason_to_leave_out
-from esd.population.files import save_atlas
 from esd.population.registering import RegisteredShape
 
 
@@ -20,11 +18,6 @@ def meshes(count: int = 6) -> list[Mesh]:
     """Ellipsoids of one connectivity, longer and longer along x."""
     sphere = icosphere(2)
     return [Mesh(sphere.vertices * [1 + 0.1 * i, 1, 1], sphere.faces) for i in range(count)]
-
-
-@pytest.fixture
-def ellipsoids() -> Atlas:
-    return atlas(meshes(), registered=True)
 
 
 def test_one_way_of_variation_is_one_mode(ellipsoids):
@@ -160,20 +153,6 @@ def test_an_atlas_of_unregistered_shapes_resumes(collection, tmp_path, monkeypat
     (folder / "atlas.json").write_text("[]")
     with pytest.raises(InputError, match="cannot be read: it holds no object"):
         made()
-
-
-def test_an_atlas_is_written_to_a_folder(ellipsoids, tmp_path):
-    save_atlas(ellipsoids, tmp_path / "a")
-    assert is_atlas_folder(tmp_path / "a")
-    model = esd.load_shape_model(tmp_path / "a" / "model.npz")
-    lines = (tmp_path / "a" / "scores.csv").read_text().splitlines()
-    assert lines[0].startswith("name,subject,size,distance,outlier,mode_1")
-    scores = np.array([float(cell) for cell in lines[3].split(",")[5:]])
-    # nine digits are written
-    assert model.reconstructed(scores) == pytest.approx(ellipsoids.aligned[2], abs=1e-6)
-    assert len((tmp_path / "a" / "modes.csv").read_text().splitlines()) == 1 + len(model.modes)
-    assert len((tmp_path / "a" / "shapes.csv").read_text().splitlines()) == 7
-    assert len(read_mesh(tmp_path / "a" / "mean.ply").vertices) == 162
 
 
 def test_other_folders_are_not_written_to(tmp_path):

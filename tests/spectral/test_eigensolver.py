@@ -124,14 +124,6 @@ def test_consistent_mass_of_a_small_mesh():
     assert_orthonormal(result, mass)
 
 
-def test_a_diagonal_sparse_mass_is_a_lumped_one():
-    mesh = icosphere(2)
-    matrix, mass = stiffness(mesh), lumped_mass(mesh)
-    lumped = eigenpairs(matrix, mass, 10)
-    result = eigenpairs(matrix, sparse.diags_array(mass), 10)
-    np.testing.assert_array_equal(result.eigenvectors, lumped.eigenvectors)
-
-
 @pytest.mark.parametrize(("count", "k"), [(3, 30), (40, 60), (40, 20)])
 def test_repeated_components_repeat_the_eigenvalues(count, k):
     matrix, mass = components_of(icosphere(1), count)
@@ -286,45 +278,10 @@ def test_the_largest_entry_is_positive():
     assert np.all(result.eigenvectors[largest, np.arange(12)] > 0)
 
 
-LAPLACIAN = stiffness(icosphere(1))
-
-MASS = lumped_mass(icosphere(1))
-
-
-def with_entry(row: int, column: int, value: float) -> sparse.csc_array:
-    matrix = LAPLACIAN.toarray()
-    matrix[row, column] = value
-    return sparse.csc_array(matrix)
-
-
-@pytest.mark.parametrize(
-    ("matrix", "mass", "k", "message"),
-    [
-        (LAPLACIAN, MASS, 0, "`k` must be from 1 to 42"),
-        (LAPLACIAN, MASS, 43, "`k` must be from 1 to 42"),
-        (LAPLACIAN, MASS, 2.5, "`k` must be an integer; got 2.5"),
-        (LAPLACIAN[:, :9], MASS, 2, "`stiffness` must be a matrix"),
-        (np.ones(42), MASS, 2, "`stiffness` must be a matrix"),
-        (with_entry(0, 0, np.nan), MASS, 2, "`stiffness` must be finite; 1 are not"),
-        (with_entry(0, 1, 7.0), MASS, 2, "`stiffness` must be symmetric.*pass L and M"),
-        (-LAPLACIAN, MASS, 2, "diagonal is negative.*pass −Δ"),
-        (LAPLACIAN, MASS[:9], 2, r"`mass` must be \(n,\).*n = 42; got \(9,\)"),
-        (LAPLACIAN, 0 * MASS, 2, "`mass` must be positive; that of vertex 0 is 0.0"),
-        (LAPLACIAN, np.where(MASS > 0, np.inf, 0), 2, "`mass` must be positive; .* is inf"),
-        (LAPLACIAN, LAPLACIAN - 0.01 * sparse.eye_array(42), 2, "`mass` must be positive definite"),
-        (LAPLACIAN, -consistent_mass(icosphere(1)), 2, "`mass` must be positive"),
-        (LAPLACIAN, LAPLACIAN[:9, :9], 2, r"`mass` must be \(n,\) or \(n, n\)"),
-    ],
-)
-def test_bad_input_is_refused(matrix, mass, k, message):
-    with pytest.raises(InputError, match=message):
-        eigenpairs(matrix, mass, k)
-
-
 @pytest.mark.parametrize("options", [{"tolerance": 0.0}, {"tolerance": np.nan}, {"threads": 0}])
 def test_bad_options_are_refused(options):
     with pytest.raises(InputError, match=f"`{next(iter(options))}` must"):
-        eigenpairs(LAPLACIAN, MASS, 2, **options)
+        eigenpairs(stiffness(icosphere(1)), lumped_mass(icosphere(1)), 2, **options)
 
 
 def test_a_ceiling_at_which_nothing_is_certain_is_moved_within_its_gap(monkeypatch, caplog):
@@ -343,15 +300,6 @@ def test_a_ceiling_at_which_nothing_is_certain_is_moved_within_its_gap(monkeypat
     assert not caplog.text
     degree = np.floor(np.sqrt(np.arange(60)))
     np.testing.assert_allclose(found.eigenvalues, degree * (degree + 1), rtol=0.05, atol=1e-6)
-
-
-def test_too_little_memory_is_said(monkeypatch, sphere):
-    def out_of_memory(*_, **__):
-        raise MemoryError
-
-    monkeypatch.setattr("esd.spectral.factorisation.splu", out_of_memory)
-    with pytest.raises(InputError, match="not enough memory to factorise"):
-        factorise(stiffness(sphere), lumped_mass(sphere), 1.0)
 
 
 def test_singular_matrices_are_refused_in_plain_words(monkeypatch, sphere):

@@ -5,6 +5,7 @@ import pytest
 from scipy import linalg, sparse
 from threadpoolctl import threadpool_limits
 
+from esd.common import InputError
 from esd.mesh.shapes import icosphere
 from esd.spectral.factorisation import UnstableError, factorise
 from esd.spectral.laplacian import lumped_mass, stiffness
@@ -34,3 +35,12 @@ def test_the_inertia_counts_the_eigenvalues_below_a_shift():
     expected = dense(matrix, mass)
     for shift in (-1.0, 1.0, 10.0, 50.0, 200.0):
         assert factorise(matrix, mass, shift).count_below == int((expected < shift).sum())
+
+
+def test_too_little_memory_is_said(monkeypatch, sphere):
+    def out_of_memory(*_, **__):
+        raise MemoryError
+
+    monkeypatch.setattr("esd.spectral.factorisation.splu", out_of_memory)
+    with pytest.raises(InputError, match="not enough memory to factorise"):
+        factorise(stiffness(sphere), lumped_mass(sphere), 1.0)

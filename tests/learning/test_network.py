@@ -11,7 +11,7 @@ from esd.evaluation.protocol import evaluate
 from esd.learning.acnn import AnisotropicPatches
 from esd.learning.gcnn import GeodesicPatches
 from esd.learning.model import load_model, model_description, save_model
-from esd.learning.presets import PRESETS, Training
+from esd.learning.presets import Training
 from esd.learning.table import point_table
 from esd.matching.match import match
 from esd.mesh.mesh import Mesh, PointCloud
@@ -175,13 +175,3 @@ def test_convolutions_of_what_is_no_whole_shape_are_refused(collection, shapes, 
     path.write_text(json.dumps(config | {"patches": config["patches"] | {"rays": 7}}))
     with pytest.raises(InputError, match="do not fit its recipe"):
         load_model(tmp_path / "m")
-
-
-def test_presets_of_the_comparison_take_hks_and_give_16_dimensions():
-    for name in ("gcnn", "acnn"):
-        training = PRESETS[name]
-        assert training.recipe == PRESETS["paper-hks"].recipe
-        assert training.outputs == 16
-        assert training.patches is not None
-        assert training.patches.bins[0] == 5
-        assert training.patches.bins[1] == 16

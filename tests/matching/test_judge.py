@@ -1,0 +1,32 @@
+from dataclasses import replace
+
+import numpy as np
+
+from esd.matching.candidates import extrinsic_candidate, pair_descriptors, sampled
+from esd.matching.judge import accuracy, cost, evidence
+
+
+def test_evidence_is_against_a_map_to_the_wrong_place(pair):
+    shapes = tuple(sampled(features) for features in pair)
+    descriptors = pair_descriptors(*shapes)
+    turn = np.array([[0, 1, 0], [0, 0, 1], [1, 0, 0]])
+    right = shapes[0].posed.moved(turn.T.astype(float), np.zeros(3))
+    wrong = right.moved(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
+    found = [
+        evidence(*shapes, extrinsic_candidate(moved, shapes[1].posed), descriptors)
+        for moved in (right, wrong)
+    ]
+    assert cost(found[0]) < cost(found[1])
+    assert accuracy(found[0]) > accuracy(found[1])
+    assert found[0].round_trip < found[1].round_trip
+    assert found[0].orientation > 0.9
+
+
+def test_a_reflected_map_turns_the_surface_over(pair):
+    shapes = tuple(sampled(features) for features in pair)
+    mirror = np.diag([1.0, 1.0, -1.0])
+    # nearest points alone: the normals of a reflection point outward as well
+    posed = replace(shapes[0].posed, points=shapes[0].posed.points @ mirror)
+    candidate = extrinsic_candidate(posed, replace(shapes[0].posed))
+    found = evidence(shapes[0], shapes[0], candidate, pair_descriptors(shapes[0], shapes[0]))
+    assert found.orientation < 0
