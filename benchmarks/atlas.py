@@ -93,7 +93,11 @@ def weighted(atlas: Atlas, count: int) -> np.ndarray:
 
 
 def separation(atlas: Atlas) -> str:
-    """Whether the shape with the nearest scores is of the same subject, and how much nearer."""
+    """Whether the shape with the nearest scores is of the same subject, and how much nearer.
+
+    Also the share of the variance of the scores that lies between subjects, and what that is by
+    chance, for labels given at random.
+    """
     subject = np.array(atlas.subjects)
     gap = np.linalg.norm(atlas.scores[:, None] - atlas.scores, axis=2)
     np.fill_diagonal(gap, np.inf)
@@ -103,6 +107,13 @@ def separation(atlas: Atlas) -> str:
     text = f"nearest by scores is of the same subject: {right:.0%}"
     if np.isfinite(own).all():
         text += f"; median distance {np.median(own):.4f}, to another subject {np.median(other):.4f}"
+        scores, names = atlas.scores - atlas.scores.mean(axis=0), np.unique(subject)
+        between = sum(
+            (subject == name).sum() * (scores[subject == name].mean(axis=0) ** 2).sum()
+            for name in names
+        )
+        share, chance = between / (scores**2).sum(), (len(names) - 1) / (len(scores) - 1)
+        text += f"; variance between subjects {share:.2%} (chance {chance:.0%})"
     return text
 
 

@@ -176,3 +176,19 @@ def test_a_cluster_matches_and_evaluates_as_one_process_does(cluster, shapes, tm
     assert maps[0] == maps[1]
     assert figures[0] == figures[1]
     assert not list(tmp_path.glob(".esd-*"))
+
+
+def test_a_cluster_makes_the_same_atlas(cluster, shapes, tmp_path):
+    address, _ = cluster
+    made = [sys.executable, "-m", "esd", "atlas", str(shapes), "-m", "gps", "--keep-failed", "-o"]
+    found = []
+    for name, how in (("there", ["--scheduler", address]), ("here", ["--workers", "1"])):
+        with started([*made, name, *how], tmp_path) as process:
+            assert process.wait() == 0, (tmp_path / "log").read_text()
+        files = sorted((tmp_path / name).rglob("*.*"))
+        # archives hold the time
+        found.append({f.relative_to(tmp_path / name): f.read_bytes() for f in files})
+        del found[-1][Path("model.npz")]
+    assert len(found[0]) > 10
+    assert found[0] == found[1]
+    assert not list(tmp_path.glob(".esd-*"))
