@@ -101,6 +101,18 @@ def test_a_face_is_inverted_where_a_vertex_is_pushed_across_its_neighbours():
     assert is_inverted(Mesh(vertices, faces)).any()
 
 
+def test_faces_that_are_inverted_at_rest_are_not_counted(template):
+    vertices = template.vertices.copy()
+    a, b = template.faces[0, :2]
+    vertices[a] += 1.5 * (vertices[b] - vertices[a])  # past the vertex beside it
+    folded = Mesh(vertices, template.faces)
+    assert is_inverted(folded).any()
+    index = np.arange(len(vertices))
+    found = fit(folded, folded, index, np.ones(len(index)))
+    assert is_inverted(Mesh(found.vertices, template.faces)).any()
+    assert quality(folded, folded, found).inverted == 0
+
+
 def test_crumpled_faces_are_turned_back(template):
     generator = np.random.default_rng(0)
     near = np.linalg.norm(template.vertices - template.vertices[0], axis=1) < 0.6

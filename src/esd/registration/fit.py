@@ -29,6 +29,7 @@ _LEAST_COSINE = 0.5  # of the normals at a vertex and at its nearest point
 _FILLINGS = 4  # of the surroundings of inverted faces, each wider
 _SMOOTHINGS = 100  # of what is still inverted then
 _WIDENED = 5  # smoothings, after which the surroundings are wider
+_PASSES = 3  # of both: after many faces were turned back, the last ones start narrowly again
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -162,7 +163,7 @@ def without_inverted(
     Faces that are inverted at rest stay as they are.
     """
     at_rest = is_inverted(Mesh(body.rest, faces))
-    for attempt in range(_FILLINGS + _SMOOTHINGS):
+    for attempt in _PASSES * list(range(_FILLINGS + _SMOOTHINGS)):
         inverted = is_inverted(Mesh(vertices, faces)) & ~at_rest
         if not inverted.any():
             break

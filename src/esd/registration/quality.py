@@ -30,7 +30,7 @@ class Quality:
     supported : float
         Share of the template's vertices where the scan has a surface.
     inverted : int
-        Faces whose normal is against the sum of those of their neighbours.
+        Faces whose normal is against the sum of those of their neighbours, and was not at rest.
     intersecting
         Pairs of faces that cut through each other; None where libigl is not installed.
     stretch : (float, float, float)
@@ -68,7 +68,7 @@ def quality(template: Mesh, scan: Mesh | PointCloud, fitted: Fit) -> Quality:
         farthest=float(distance.max()) if len(distance) else float("nan"),
         extent=float(np.ptp(scan.vertices, axis=0).max()),
         supported=float(fitted.supported.mean()),
-        inverted=int(is_inverted(mesh).sum()),
+        inverted=int((is_inverted(mesh) & ~is_inverted(template)).sum()),
         intersecting=_intersecting(mesh),
         stretch=(float(low), float(middle), float(high)),
     )
