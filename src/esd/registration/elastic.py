@@ -150,13 +150,22 @@ class Elastic:
         result[inner] = _solver(rows[:, inner] + held)(right + _HELD * vertices[inner])
         return result
 
-    def smoothed(
+    def flattened(
         self, vertices: npt.NDArray[np.float64], is_free: BoolArray
     ) -> npt.NDArray[np.float64]:
-        """The vertices with the free ones, (n,), moved to the mean of their neighbours."""
-        joined = adjacency(self.edge, len(vertices)).astype(float)
-        mean = (joined @ vertices) / joined.sum(axis=1)[:, None]
-        return np.where(is_free[:, None], mean, vertices)
+        """The vertices with each of the free ones, (n,), at the mean of its neighbours.
+
+        In a plane, no face between them is inverted if those that are fixed around them form a
+        convex polygon (Tutte 1963, *How to draw a graph*).
+        """
+        inner, fixed = np.flatnonzero(is_free), np.flatnonzero(~is_free)
+        joined = sparse.csr_array(adjacency(self.edge, len(vertices)).astype(float))
+        rows = sparse.csr_array(sparse.diags_array(joined.sum(axis=1)) - joined)[inner]
+        held = sparse.eye_array(len(inner)) * _HELD
+        result = vertices.copy()
+        right = _HELD * vertices[inner] - rows[:, fixed] @ vertices[fixed]
+        result[inner] = _solver(rows[:, inner] + held)(right)
+        return result
 
     def _moments(
         self, vertices: npt.NDArray[np.float64], weight: npt.NDArray[np.float64] | None = None

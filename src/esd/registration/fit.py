@@ -26,9 +26,8 @@ _REACH = (0.1, 0.03)  # in √area: farthest nearest point that counts; first an
 _ORIENTED = 0.1  # in √area: length of the normals beside positions, as nearest points are sought
 _UNMATCHED = 0.1  # weight of the claim to a nearest point without a match, beside a sure match
 _LEAST_COSINE = 0.5  # of the normals at a vertex and at its nearest point
-_FILLINGS = 4  # of the surroundings of inverted faces, each wider
-_SMOOTHINGS = 100  # of what is still inverted then
-_WIDENED = 5  # smoothings, after which the surroundings are wider
+_FILLINGS = 4  # of the surroundings of inverted faces, each wider by a ring of faces
+_FLATTENINGS = 8  # of those of what is still inverted then
 _PASSES = 3  # of both: after many faces were turned back, the last ones start narrowly again
 
 
@@ -158,23 +157,23 @@ def is_inverted(mesh: Mesh) -> BoolArray:
 def without_inverted(
     body: Elastic, vertices: npt.NDArray[np.float64], faces: IntArray
 ) -> npt.NDArray[np.float64]:
-    """The vertices, (n, 3), with surroundings of inverted faces placed anew, or else smoothed.
+    """The vertices, (n, 3), with surroundings of inverted faces placed anew, or else flattened.
 
     Faces that are inverted at rest stay as they are.
     """
     at_rest = is_inverted(Mesh(body.rest, faces))
-    for attempt in _PASSES * list(range(_FILLINGS + _SMOOTHINGS)):
+    ways = [(body.filled, width) for width in range(_FILLINGS)]
+    ways += [(body.flattened, width) for width in range(_FLATTENINGS)]
+    for placed, width in _PASSES * ways:
         inverted = is_inverted(Mesh(vertices, faces)) & ~at_rest
         if not inverted.any():
             break
-        is_filling = attempt < _FILLINGS
         free = np.zeros(len(vertices), dtype=bool)
         free[faces[inverted]] = True
-        for _ in range(attempt if is_filling else (attempt - _FILLINGS) // _WIDENED):
+        for _ in range(width):
             free[faces[free[faces].any(axis=1)]] = True
-        if free.all():
-            break
-        vertices = (body.filled if is_filling else body.smoothed)(vertices, free)
+        if not free.all():
+            vertices = placed(vertices, free)
     return vertices
 
 
