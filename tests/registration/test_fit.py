@@ -6,7 +6,7 @@ from esd.common import InputError
 from esd.mesh.mesh import Mesh, PointCloud
 from esd.mesh.shapes import subdivide, torus
 from esd.registration.elastic import elastic
-from esd.registration.fit import fit, is_inverted, without_inverted
+from esd.registration.fit import Fit, fit, is_inverted, without_inverted
 from esd.registration.quality import distance_to, quality
 
 
@@ -75,6 +75,16 @@ def test_points_are_scans_as_well(template):
     index = np.arange(len(moved))
     found = fit(template, PointCloud(moved), index, np.full(len(index), np.nan))
     assert distance_to(PointCloud(moved), found.vertices).mean() < 0.01
+
+
+def test_what_of_a_scan_the_template_does_not_reach_is_not_covered(template):
+    far = template.vertices + np.array([20.0, 0.0, 0.0])
+    faces = np.concatenate([template.faces, template.faces + len(far)])
+    both = Mesh(np.concatenate([template.vertices, far]), faces)
+    fitted = Fit(template.vertices, np.ones(len(far), dtype=bool), 1.0)
+    assert quality(template, both, fitted).covered == pytest.approx(0.5)
+    assert quality(template, PointCloud(both.vertices), fitted).covered == pytest.approx(0.5)
+    assert quality(template, template, fitted).covered == pytest.approx(1.0)
 
 
 def test_a_start_takes_the_place_of_a_map(template):

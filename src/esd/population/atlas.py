@@ -465,10 +465,15 @@ def _of_one_connectivity(collection: Collection, on_shape: Callable[[], None]) -
                 failure = f"its connectivity is not that of '{first}'"
         except InputError as error:
             failure = str(error)
-        supported = 0.0 if failure else 1.0
+        share = 0.0 if failure else 1.0
         records.append(
             RegisteredShape(
-                shape.name, shape.subject, distance=0.0, supported=supported, failure=failure
+                shape.name,
+                shape.subject,
+                distance=0.0,
+                supported=share,
+                covered=share,
+                failure=failure,
             )
         )
         on_shape()

@@ -71,6 +71,7 @@ def save_atlas(atlas: Atlas, folder: str | os.PathLike[str]) -> None:
             "expected_accuracy",
             "relative_distance",
             "supported",
+            "covered",
             "inverted",
             "left_out",
         ],
@@ -82,6 +83,7 @@ def save_atlas(atlas: Atlas, folder: str | os.PathLike[str]) -> None:
                 "" if each.expected_accuracy is None else _number(each.expected_accuracy),
                 _number(each.distance),
                 _number(each.supported),
+                _number(each.covered),
                 each.inverted,
                 atlas.left_out.get(each.name, ""),
             ]

@@ -48,8 +48,10 @@ class RegisteredShape:
         Mean distance to the surface over the longest side of the bounding box.
     supported
         Share of the template's vertices where the shape has a surface.
+    covered
+        Share of the shape's area where the template lies.
     inverted
-        Faces against their neighbours.
+        Faces against their neighbours, that are not in the template.
     failure
         Why there is no registration; empty if there is one.
     is_new
@@ -63,6 +65,7 @@ class RegisteredShape:
     expected_accuracy: float | None = None
     distance: float = float("nan")
     supported: float = 0.0
+    covered: float = float("nan")
     inverted: int = 0
     failure: str = ""
     is_new: bool = True
@@ -281,6 +284,7 @@ def _registered(
         expected_accuracy=judged.expected_accuracy if judged else None,
         distance=found.quality.relative_distance,
         supported=found.quality.supported,
+        covered=found.quality.covered,
         inverted=found.quality.inverted,
     )
     with whole_file(_mesh_file(folder, shape.name)) as temporary:

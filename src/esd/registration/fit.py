@@ -20,6 +20,9 @@ _MAP_LENGTHS = (0.3, 0.2, 0.12, 0.08, 0.05, 0.05, 0.05, 0.05)
 _SURFACE_LENGTHS = (0.05, 0.05, 0.04, 0.04, 0.03, 0.03, 0.02, 0.02, 0.015, 0.015, 0.01, 0.01)
 """In √area: lengths over which the deformation is stiff, in the rounds of the two stages."""
 
+_FINISHING = 2  # rounds after inverted faces were turned back, which draw them to the surface again
+_FINISHING_LENGTH = 0.01
+
 _TRUST = (0.3, 0.04)  # in √area: residual that quarters the weight of a match; first, last round
 _TANGENTIAL = 0.05  # weight of a nearest point along the surface, beside that along its normal
 _REACH = (0.1, 0.03)  # in √area: farthest nearest point that counts; first and last round
@@ -118,10 +121,13 @@ def fit(
             vertices, Pull(image, matched(vertices, _between(_TRUST, share))), length
         )
     surface = _surface(scan, _ORIENTED * unit)
-    for share, length in _rounds(_SURFACE_LENGTHS):
-        near = surface.nearest(
-            vertices, vertex_normals(Mesh(vertices, template.faces)), _between(_REACH, share) * unit
-        )
+
+    def drawn_to_surface(
+        vertices: npt.NDArray[np.float64], share: float, length: float
+    ) -> tuple[npt.NDArray[np.float64], BoolArray]:
+        """The vertices after a round, and which of them have a nearest point that is believed."""
+        normals = vertex_normals(Mesh(vertices, template.faces))
+        near = surface.nearest(vertices, normals, _between(_REACH, share) * unit)
         by_map = matched(vertices, _TRUST[-1])
         gap = np.linalg.norm(near.points - vertices, axis=1)
         claim = near.accepted * (_UNMATCHED + by_map) / (1 + (gap / (_TRUST[-1] * unit)) ** 2) ** 2
@@ -132,7 +138,16 @@ def fit(
         position = by_map[:, None] * image + (_TANGENTIAL * along)[:, None] * near.points
         position /= np.maximum(total, np.finfo(float).tiny)[:, None]
         height = (near.points * near.normals).sum(axis=1)
-        vertices = body.drawn(vertices, Pull(position, total, near.normals, height, along), length)
+        pull = Pull(position, total, near.normals, height, along)
+        return body.drawn(vertices, pull, length), accepted
+
+    for share, length in _rounds(_SURFACE_LENGTHS):
+        vertices, accepted = drawn_to_surface(vertices, share, length)
+    for _ in range(_FINISHING):
+        turned = without_inverted(body, vertices, template.faces)
+        if turned is vertices:
+            break
+        vertices, accepted = drawn_to_surface(turned, 1.0, _FINISHING_LENGTH)
     vertices = without_inverted(body, vertices, template.faces)
     return Fit(vertices, accepted, scale)
 

@@ -8,12 +8,13 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from esd.common import FloatArray
-from esd.mesh.geometry import edges, face_areas, is_referenced
+from esd.mesh.geometry import edges, face_areas, is_referenced, vertex_areas
 from esd.mesh.mesh import Mesh, PointCloud
 from esd.mesh.surface import closest_points, positions
 from esd.mesh.topology import is_collapsed
 from esd.registration.fit import Fit, is_inverted
 
+_COVERED = 0.01  # of the extent: what is farther from the template is not covered
 _NEAR = 3  # vertices of the scan around which the closest point of its surface is sought
 
 
@@ -29,6 +30,8 @@ class Quality:
         Longest side of the scan's bounding box.
     supported : float
         Share of the template's vertices where the scan has a surface.
+    covered : float
+        Share of the scan's area that is nearer to the template than 1 % of the extent.
     inverted : int
         Faces whose normal is against the sum of those of their neighbours, and was not at rest.
     intersecting
@@ -42,6 +45,7 @@ class Quality:
     farthest: float
     extent: float
     supported: float
+    covered: float
     inverted: int
     intersecting: int | None
     stretch: tuple[float, float, float]
@@ -55,6 +59,7 @@ class Quality:
 def quality(template: Mesh, scan: Mesh | PointCloud, fitted: Fit) -> Quality:
     """How well a fitted template lies on its scan."""
     mesh = Mesh(fitted.vertices, template.faces)
+    extent = float(np.ptp(scan.vertices, axis=0).max())
     distance = distance_to(scan, fitted.vertices[fitted.supported])
     i, j = edges(template).T
     before, after = (
@@ -66,12 +71,19 @@ def quality(template: Mesh, scan: Mesh | PointCloud, fitted: Fit) -> Quality:
     return Quality(
         distance=float(distance.mean()) if len(distance) else float("nan"),
         farthest=float(distance.max()) if len(distance) else float("nan"),
-        extent=float(np.ptp(scan.vertices, axis=0).max()),
+        extent=extent,
         supported=float(fitted.supported.mean()),
+        covered=_covered(scan, mesh, extent),
         inverted=int((is_inverted(mesh) & ~is_inverted(template)).sum()),
         intersecting=_intersecting(mesh),
         stretch=(float(low), float(middle), float(high)),
     )
+
+
+def _covered(scan: Mesh | PointCloud, mesh: Mesh, extent: float) -> float:
+    area = vertex_areas(scan) if isinstance(scan, Mesh) else np.ones(len(scan.vertices))
+    is_near = distance_to(mesh, scan.vertices) < _COVERED * extent
+    return float(area[is_near].sum() / area.sum())
 
 
 def distance_to(scan: Mesh | PointCloud, points: FloatArray) -> FloatArray:
