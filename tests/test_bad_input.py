@@ -145,7 +145,7 @@ BAD_MESHES = (
     ("page.obj", "page.obj"),
     ("mesh.abc", "expected one of"),
     ("odd.off", "odd.off"),
-    ("set", "not a mesh file"),
+    ("set", "is a folder; expected a file"),
     ("holes.xyz", "holes.xyz"),
 )
 BAD_MAPS = (
@@ -323,7 +323,7 @@ CASES: list[tuple[tuple[str, ...], int, str]] = [
     (("transfer", *COMMON, "--landmarks", "odd.csv", "-o", "out/l.csv"), 1, "odd.csv"),
     (("transfer", *COMMON, "--texture", "-o", "out/t.obj"), 1, "textures are read from"),
     (("transfer", "a.obj", *COMMON[1:], "--texture", "-o", "out/t.obj"), 1, "a.obj"),
-    (("transfer", *COMMON, "--texture", "-o", "out/t.ply"), 1, "texture are written to"),
+    (("transfer", *COMMON, "--texture", "-o", "out/t.ply"), 1, "textures are written to"),
     (("transfer", *COMMON, "--vertex-colors", "-o", "out/c.ply"), 1, "has no colours"),
     (("transfer", *COMMON, "--vertex-colors", "-o", "out/c.obj"), 1, "colours are written to"),
     (("transfer", "points.xyz", *COMMON[1:], "--morph", "3", "-o", "out/m"), 1, "points.xyz"),

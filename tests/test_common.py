@@ -1,6 +1,8 @@
+import io
 import os
 import re
 import signal
+import struct
 import subprocess
 import sys
 from pathlib import Path
@@ -16,6 +18,7 @@ from esd.common import (
     install_hint,
     read_array,
     reason,
+    table_rows,
     whole_file,
     whole_folder,
     whole_number,
@@ -132,13 +135,18 @@ def test_whole_numbers_are_read_and_others_refused():
 
 
 def test_reasons_are_in_plain_words():
-    said = []
+    objects, said = io.BytesIO(), []
+    np.save(objects, np.array([None]), allow_pickle=True)
+    objects.seek(0)
     for parse in (
         lambda: int("x y"),
         lambda: int(b"x"),
         lambda: float("zero"),
         lambda: np.loadtxt(["1 one"]),
         lambda: b"a\xff".decode(),
+        lambda: int("1" * 5000),
+        lambda: np.load(io.BytesIO(b"hello")),
+        lambda: np.load(objects),
     ):
         with pytest.raises(ValueError, match=r"\w") as raised:
             parse()
@@ -149,7 +157,16 @@ def test_reasons_are_in_plain_words():
         "expected a number; got 'zero'",
         "expected a number; got 'one' at row 0, column 2",
         "byte 2 of it is no text in UTF-8",
+        "a whole number is too long",
+        "it is no .npy file",
+        "it holds Python objects, which are not loaded, since they can run code",
     ]
+    for error, words in (
+        (OverflowError("Python int too large to convert to C long"), "beyond 64 bits"),
+        (RecursionError("maximum recursion depth exceeded in comparison"), "nested too deeply"),
+        (struct.error("unpack_from requires a buffer of at least 20 bytes"), "it is cut short"),
+    ):
+        assert words in reason(error)
 
 
 def test_files_that_cannot_be_there_are_missing(tmp_path):
@@ -182,3 +199,20 @@ def test_no_page_tells_to_install_the_other_package_called_esd():
     texts = [*(ROOT / "src").rglob("*.py"), *(ROOT / "docs").rglob("*.md"), ROOT / "README.md"]
     wrong = re.compile(r"pip install '?esd\b")
     assert [str(file) for file in texts if wrong.search(file.read_text())] == []
+
+
+def test_tables_are_read_as_spreadsheets_write_them():
+    for text in (
+        "name,x\nnose,1\n\near, 2 \n",
+        '"Name";"X"\r\nnose;1\r\n\r\near;2\r\n',
+        " name\tX \nnose\t1\t7\n\near\t2\n",
+    ):
+        columns, rows = table_rows(text)
+        found = list(rows)
+        assert columns == {"name", "x"}
+        assert found == [(2, {"name": "nose", "x": "1"}), (4, {"name": "ear", "x": "2"})]
+    columns, rows = table_rows("a,b,c\n1\n")
+    assert list(rows) == [(2, {"a": "1", "b": "", "c": ""})]
+    assert columns == {"a", "b", "c"}
+    columns, rows = table_rows("")
+    assert (columns, list(rows)) == (frozenset(), [])

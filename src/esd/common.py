@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import csv
 import ctypes
+import io
 import os
 import re
 import shutil
@@ -25,11 +27,19 @@ DISTRIBUTION = "embedded-spectral-descriptors"
 
 _EXCHANGE = 2  # RENAME_EXCHANGE of renameat2(2)
 _HERE = -100  # AT_FDCWD
-_PLAIN = {  # what int, float and numpy say
+_OBJECTS = "it holds Python objects, which are not loaded, since they can run code"
+_PLAIN = {  # what int, float, numpy, struct and json say
     r"invalid literal for int\(\) with base 10: b?'(.*)'": r"expected a whole number; got '\1'",
     r"could not convert string to float: b?'(.*)'": r"expected a number; got '\1'",
     r"; use `usecols`.*": "",
     r"could not convert string '(.*)' to \w+ at": r"expected a number; got '\1' at",
+    r"Exceeds the limit .* for integer string conversion.*": "a whole number is too long",
+    r"Python int too large to convert to C \w+": "a whole number is beyond 64 bits",
+    r"maximum recursion depth exceeded.*": "it is nested too deeply",
+    r"unpack(_from)? requires a buffer of.*": "it is cut short",
+    r"This file contains pickled \(object\) data.*": "it is no .npy file",  # so of anything else
+    r"Object arrays cannot be loaded.*": _OBJECTS,
+    r"Array can't be memory-mapped: Python objects in dtype": _OBJECTS,
 }
 _LONGEST = 18  # digits of a number that 64 bits hold
 
@@ -115,6 +125,31 @@ def whole_number(cell: str | None) -> int:
         shown = f"got '{text[:40]}'" if text else "the cell is empty"
         raise InputError(f"expected a whole number; {shown}")
     return int(text)
+
+
+def table_rows(text: str) -> tuple[frozenset[str], Iterator[tuple[int, dict[str, str]]]]:
+    """Names of the columns of a table, and its rows: the line, and the cells by these names.
+
+    Columns are separated by commas, semicolons or tabs, whichever the first line has most of, as
+    spreadsheets write them. Names are in lower case; they and the cells have no space around them.
+    Cells that a row lacks are empty.
+
+    Raises
+    ------
+    csv.Error
+        If a row cannot be parsed, when it is reached.
+    """
+    between = max(",;\t", key=text.partition("\n")[0].count)
+    rows = csv.reader(io.StringIO(text), delimiter=between, skipinitialspace=True)
+    names = [name.strip().lower() for name in next(rows, [])]
+
+    def named() -> Iterator[tuple[int, dict[str, str]]]:
+        for row in rows:
+            if row:
+                cells = dict(zip(names, map(str.strip, row), strict=False))
+                yield rows.line_num, {**dict.fromkeys(names[len(row) :], ""), **cells}
+
+    return frozenset(names), named()
 
 
 @contextlib.contextmanager

@@ -72,7 +72,7 @@ def test_listed_subjects_override_names(registered):
 
 def test_subjects_of_shapes_that_there_are_not_are_refused(registered):
     (registered / "subjects.csv").write_text("name,subject\ntr_reg_000.off,ann\ntr_reg_001,ann\n")
-    with pytest.raises(InputError, match=r"names 1 shapes that there are not: tr_reg_000\.off"):
+    with pytest.raises(InputError, match=r"names shapes that do not exist \(1\): tr_reg_000\.off"):
         folder_collection(registered)
     # as spreadsheets write it, with a byte order mark
     text = "\ufeffname,subject\ntr_reg_000,ann\n"

@@ -58,7 +58,7 @@ NPY = "\x93NUMPY\x01\x00v\x00{'descr': '<i8', 'fortran_order': False, 'shape': (
         ("m.csv", HEAD + "0,1,near,1\n1,1,0,1\n2,0,0,1\n", "line 2: could not convert"),
         ("m.csv", HEAD + f"0,{10**30},0,1\n1,1,0,1\n2,0,0,1\n", "holds no map"),
         ("m.csv", "a,b\n1,2\n", "expected the columns source,target"),
-        ("m.csv", HEAD, "expected the columns source,target"),
+        ("m.csv", HEAD, "no line follows the names of its columns"),
         ("m.csv", "", "it is empty"),
         ("m.csv", "\xff\xfe\n", "holds no map"),
         ("m.txt", "1\n2\n3", "no line break"),

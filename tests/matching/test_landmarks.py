@@ -39,6 +39,8 @@ def test_another_component_is_infinitely_far():
         (np.array([[0, 0], [1, 1], [2, 9]]), "target must be vertices from 0 to 4; got 0 to 9"),
         (np.array([[0, 0], [-1, 1], [2, 2]]), "source must be vertices"),
         (np.array([[0, 0], [0, 0], [2, 2]]), "3 different landmarks or more are needed; got 2"),
+        (np.array([[1, 0], [1, 1], [1, 2]]), "3 different landmarks or more are needed; got 1"),
+        (np.array([[0, 3], [1, 4], [2, 4]]), "3 different landmarks or more are needed; got 2"),
     ],
 )
 def test_bad_landmarks_are_refused(landmarks, message):
@@ -52,6 +54,9 @@ def test_landmarks_are_paired_by_name():
     names, pairs = paired_landmarks(source, target)
     assert names == ("nose", "ear", "tail")
     np.testing.assert_array_equal(pairs, [[1, 10], [2, 20], [3, 30]])
+    for twice in (("tail", "nose", "ear", "nose"), ("ear", "ear", "tail", "nose")):
+        with pytest.raises(InputError, match=r"Several landmarks have the name '(nose|ear)'"):
+            paired_landmarks(source, Landmarks(twice, np.array([30, 10, 20, 40])))
     with pytest.raises(InputError, match="a name that both files have; got 0: none"):
         paired_landmarks(source, Landmarks(("x",), np.array([0])))
 

@@ -44,6 +44,17 @@ def test_points_at_vertices_are_these_and_none_where_there_is_no_face():
         assert np.isnan(interpolated(values, mesh, points)[1:3]).all()
 
 
+def test_values_that_are_not_finite_count_at_corners_with_a_weight():
+    mesh = grid(2, 2)
+    points = SurfacePoints(np.array([0, 0]), np.array([[1.0, 0, 0], [0.5, 0.5, 0]]))
+    values = np.zeros(4)
+    values[mesh.faces[0]] = [7, 8, np.inf]
+    np.testing.assert_array_equal(interpolated(values, mesh, points), [7, 7.5])
+    values[mesh.faces[0, 1]] = np.nan
+    both = np.stack([values, values], axis=1)
+    np.testing.assert_array_equal(interpolated(both, mesh, points), [[7, 7], [np.nan, np.nan]])
+
+
 def test_the_nearest_vertex_is_the_corner_of_most_weight():
     mesh = grid(3, 3)
     points = SurfacePoints(np.array([4, 4]), np.array([[0.2, 0.5, 0.3], [0.1, 0.1, 0.8]]))

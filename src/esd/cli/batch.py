@@ -147,4 +147,5 @@ def batch(
         for report in reports:
             tell(report.in_a_line())
     if failed:
-        raise InputError(f"{failed} of {len(listed)} pairs failed; the other maps are written.")
+        others = "; the other maps are written" if failed < len(listed) else ""
+        raise InputError(f"{failed} of {len(listed)} pairs failed{others}.")

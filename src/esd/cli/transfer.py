@@ -116,7 +116,8 @@ def _check_destination(path: Path, what: str, inputs: list[Path], force: bool) -
         "values": (".npy", ".csv", ".txt"),
     }
     if what in suffixes and not path.name.lower().endswith(suffixes[what]):
-        raise InputError(f"'{path}': {what} are written to {', '.join(suffixes[what])}.")
+        things = "textures" if what == "texture" else what
+        raise InputError(f"'{path}': {things} are written to {', '.join(suffixes[what])}.")
     destination(path, force=force, inputs=inputs, is_folder=what == "morph")
     if what == "texture" and path.suffix.lower() == ".obj":
         beside = [inputs[0].with_suffix(suffix) for suffix in (".mtl", ".png")]

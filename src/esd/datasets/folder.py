@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from esd.common import InputError, IntArray, reason
+from esd.common import InputError, IntArray, reason, table_rows
 from esd.datasets.collection import Collection, Shape
 from esd.mesh.io.landmarks import Landmarks, read_landmarks
 from esd.mesh.io.meshes import FORMATS, read_arrays
@@ -378,21 +378,20 @@ def _listed_subjects(path: Path, names: Sequence[str]) -> dict[str, tuple[str, s
     if not path.is_file():
         return {}
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = csv.DictReader(file)
-            columns, listed = rows.fieldnames or (), list(rows)
+        columns, rows = table_rows(path.read_text(encoding="utf-8-sig"))
+        listed = list(rows)
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"'{path}' must be a CSV file in UTF-8: {error}.") from error
-    if not {"name", "subject"} <= set(columns):
+    if not {"name", "subject"} <= columns:
         raise InputError(f"'{path}' must have the columns name,subject (and template).")
-    for number, row in enumerate(listed, start=2):
+    for number, row in listed:
         if not row["name"] or not row["subject"]:
             raise InputError(f"'{path}', line {number}: expected a name and a subject.")
-    unknown = sorted({row["name"] for row in listed} - set(names))
+    unknown = sorted({row["name"] for _, row in listed} - set(names))
     if unknown:
         some = ", ".join(unknown[:5]) + (", …" if len(unknown) > 5 else "")
         raise InputError(
-            f"'{path}' names {len(unknown)} shapes that there are not: {some}. Names are those of "
-            f"the files without suffix, such as '{names[0]}'."
+            f"'{path}' names shapes that do not exist ({len(unknown)}): {some}. Expected names of "
+            f"files without their suffix, such as '{names[0]}'."
         )
-    return {row["name"]: (row["subject"], row.get("template")) for row in listed}
+    return {row["name"]: (row["subject"], row.get("template")) for _, row in listed}

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from esd.common import FloatArray, InputError, existing_file, is_file, reason
+from esd.common import FloatArray, InputError, existing_file, is_file, reason, table_rows
 from esd.learning.model import Model
 from esd.matching.adapt import check_adaptation
 from esd.matching.collection import Pair, composed, cycle_miss, trusted_chains
@@ -130,17 +130,11 @@ def read_pairs_of_files(
     """
     path = existing_file(path)
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = csv.DictReader(file, skipinitialspace=True)
-            if not {"source", "target"} <= set(rows.fieldnames or ()):
-                raise InputError(f"'{path}' must have the columns source,target (and output).")
-            listed = [
-                [
-                    (row.get(key) or "").strip()
-                    for key in ("source", "target", "output", *LANDMARK_COLUMNS)
-                ]
-                for row in rows
-            ]
+        columns, rows = table_rows(path.read_text(encoding="utf-8-sig"))
+        if not {"source", "target"} <= columns:
+            raise InputError(f"'{path}' must have the columns source,target (and output).")
+        wanted = ("source", "target", "output", *LANDMARK_COLUMNS)
+        listed = [[row.get(key, "") for key in wanted] for _, row in rows]
     except (csv.Error, UnicodeDecodeError) as error:
         raise InputError(f"'{path}' is no CSV file: {reason(error)}.") from error
     pairs = []

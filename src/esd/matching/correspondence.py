@@ -21,6 +21,7 @@ from esd.common import (
     existing_file,
     read_array,
     reason,
+    table_rows,
     whole_file,
     whole_number,
 )
@@ -271,21 +272,21 @@ def _whole_text(path: Path) -> str:
 def _parse_table(path: Path) -> tuple[IntArray, FloatArray, FloatArray]:
     """The columns of a `.csv` file in the order of the source vertices."""
     text = _whole_text(path)
-    # spreadsheets separate columns by semicolons where the comma is in numbers, or by tabs
-    between = max(",;\t", key=text.partition("\n")[0].count)
-    rows = list(csv.DictReader(io.StringIO(text), skipinitialspace=True, delimiter=between))
-    if not rows or not {"source", "target"} <= set(rows[0]):
+    columns, rows = table_rows(text)
+    if not {"source", "target"} <= columns:
         raise InputError("expected the columns source,target,distance,confidence")
     source, target, distance, confidence = [], [], [], []
     try:
-        for row in rows:
+        line = 1
+        for line, row in rows:  # noqa: B007 (for the error)
             source.append(whole_number(row["source"]))
             target.append(whole_number(row["target"]))
             distance.append(_number(row.get("distance"), least=0.0))
             confidence.append(_number(row.get("confidence"), least=0.0, most=1.0))
     except (InputError, TypeError, ValueError) as error:
-        # line 1 holds the names of the columns; the last list grows only with whole lines
-        raise InputError(f"line {len(confidence) + 2}: {error}") from error
+        raise InputError(f"line {line}: {error}") from error
+    if not source:
+        raise InputError("no line follows the names of its columns")
     order = np.argsort(np.array(source, dtype=np.int64), kind="stable")
     found = np.array(source, dtype=np.int64)[order]
     wrong = np.flatnonzero(found != np.arange(len(found)))

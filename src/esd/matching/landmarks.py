@@ -8,7 +8,15 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from esd.common import FloatArray, InputError, IntArray, existing_file, reason, whole_number
+from esd.common import (
+    FloatArray,
+    InputError,
+    IntArray,
+    existing_file,
+    reason,
+    table_rows,
+    whole_number,
+)
 from esd.matching.candidates import (
     Candidate,
     Rows,
@@ -57,7 +65,7 @@ def check_landmarks(landmarks: IntArray, source_count: int, target_count: int) -
                 f"Landmarks of the {name} must be vertices from 0 to {count - 1}; "
                 f"got {column.min()} to {column.max()}."
             )
-    different = len(np.unique(landmarks, axis=0))
+    different = min(len(np.unique(column)) for column in landmarks.T)
     if different < FEWEST:
         raise InputError(f"{FEWEST} different landmarks or more are needed; got {different}.")
     return landmarks.astype(np.int64)
@@ -77,16 +85,13 @@ def read_landmark_pairs(path: str | os.PathLike[str]) -> tuple[tuple[str, ...], 
     names: list[str] = []
     pairs: list[tuple[int, int]] = []
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = csv.DictReader(file, skipinitialspace=True)
-            if not {"source", "target"} <= set(rows.fieldnames or ()):
-                raise InputError(
-                    f"'{path}' must have the columns source,target; or give two files."
-                )
-            for row in rows:
-                where = f"'{path}', line {rows.line_num}"
-                pairs.append((_vertex(row, "source", where), _vertex(row, "target", where)))
-                names.append(row.get("name") or str(len(pairs)))
+        columns, rows = table_rows(path.read_text(encoding="utf-8-sig"))
+        if not {"source", "target"} <= columns:
+            raise InputError(f"'{path}' must have the columns source,target; or give two files.")
+        for line, row in rows:
+            where = f"'{path}', line {line}"
+            pairs.append((_vertex(row, "source", where), _vertex(row, "target", where)))
+            names.append(row.get("name") or str(len(pairs)))
     except (csv.Error, UnicodeDecodeError) as error:
         raise InputError(f"'{path}' is no CSV file: {reason(error)}.") from error
     if not pairs:
@@ -94,7 +99,7 @@ def read_landmark_pairs(path: str | os.PathLike[str]) -> tuple[tuple[str, ...], 
     return tuple(names), np.array(pairs, dtype=np.int64)
 
 
-def _vertex(row: Mapping[str, str | None], column: str, where: str) -> int:
+def _vertex(row: Mapping[str, str], column: str, where: str) -> int:
     """The vertex in a column of a row of a table."""
     try:
         vertex = whole_number(row[column])
@@ -111,7 +116,7 @@ def paired_landmarks(source: Landmarks, target: Landmarks) -> tuple[tuple[str, .
     Raises
     ------
     InputError
-        If fewer than three names are in both.
+        If fewer than three names are in both, or one of them is there twice.
     """
     there = dict(zip(target.names, target.vertices.tolist(), strict=True))
     found = {
@@ -119,6 +124,10 @@ def paired_landmarks(source: Landmarks, target: Landmarks) -> tuple[tuple[str, .
         for name, vertex in zip(source.names, source.vertices.tolist(), strict=True)
         if vertex >= 0 and there.get(name, -1) >= 0
     }
+    for names in (source.names, target.names):
+        twice = [name for name in found if names.count(name) > 1]
+        if twice:
+            raise InputError(f"Several landmarks have the name '{twice[0]}'; give them others.")
     if len(found) < FEWEST:
         raise InputError(
             f"{FEWEST} landmarks or more must have a name that both files have; "

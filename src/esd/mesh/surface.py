@@ -50,15 +50,19 @@ def at_vertices(mesh: Mesh, vertices: IntArray) -> SurfacePoints:
 
 
 def interpolated(values: FloatArray, mesh: Mesh, points: SurfacePoints) -> FloatArray:
-    """Values at some points, (p, …), of values at the mesh's vertices, (n, …); NaN for none."""
+    """Values at some points, (p, …), of values at the mesh's vertices, (n, …); NaN for none.
+
+    Values that are not finite count only at corners that have a weight.
+    """
     corners = mesh.faces[points.face]
-    if values.ndim == 1:
-        result = np.einsum("pc,pc->p", points.weights, values[corners])
-    else:
-        result = np.zeros((len(corners), *values.shape[1:]))
-        for corner in range(3):  # one after another, since all at once may not fit into memory
-            weight = points.weights[:, corner].reshape(-1, *[1] * (values.ndim - 1))
-            result += weight * values[corners[:, corner]]
+    result = np.zeros((len(corners), *values.shape[1:]))
+    is_finite = bool(np.isfinite(values).all())
+    for corner in range(3):  # one after another, since all at once may not fit into memory
+        weight = points.weights[:, corner].reshape(-1, *[1] * (values.ndim - 1))
+        part = values[corners[:, corner]]
+        if not is_finite:
+            part = np.where(weight == 0, 0.0, part)  # 0 · ∞ is no number
+        result += weight * part
     result[points.face < 0] = np.nan
     return result
 

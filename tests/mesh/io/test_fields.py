@@ -22,6 +22,24 @@ def test_labels_and_values_come_back(tmp_path, suffix):
         np.testing.assert_array_equal(read_values(path), values)
 
 
+@pytest.mark.parametrize(
+    ("text", "values"),
+    [
+        ("1,,3\n4,5,NA\n", [[1, np.nan, 3], [4, 5, np.nan]]),  # cells keep their columns
+        ("1,\n,2\n", [[1, np.nan], [np.nan, 2]]),
+        ("1;2,5\n3;4\n", [[1, 2.5], [3, 4]]),
+        ("a,b\n1, 2\n\n3, 4\n", [[1, 2], [3, 4]]),
+        ("\ufeffvalue\n1\n-.5\n", [1, -0.5]),
+        ("1 2\n3\t4\n", [[1, 2], [3, 4]]),
+        ("nan\ninf\n", [np.nan, np.inf]),
+    ],
+)
+def test_values_are_read_as_other_programs_write_them(tmp_path, text, values):
+    path = tmp_path / "v.csv"
+    path.write_text(text, encoding="utf-8")
+    np.testing.assert_array_equal(read_values(path), values)
+
+
 def test_labels_may_be_words(tmp_path):
     path = tmp_path / "parts.txt"
     path.write_text("left arm\nhead\nleft arm\n")

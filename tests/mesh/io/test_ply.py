@@ -79,3 +79,9 @@ def test_binary_lists_that_are_cut_are_refused(tmp_path):
     (tmp_path / "n.ply").write_bytes(b"plain text")
     with pytest.raises(InputError, match="does not begin with `ply`"):
         read_arrays(tmp_path / "n.ply")
+
+
+def test_a_comment_may_name_the_end_of_the_head(tmp_path):
+    head = "comment end_header follows\n" + XYZ + "element face 1\n" + LIST
+    _, faces = arrays(tmp_path, head, (ROWS + "3 0 1 2\n").encode())
+    np.testing.assert_array_equal(faces, [[0, 1, 2]])

@@ -4,6 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from esd.mesh.io.meshes import read_arrays
 from esd.mesh.io.polygons import triangulated
 
 L = np.array([[0, 0, 0], [1, 0, 0], [1, 2, 0], [3, 2, 0], [3, 3, 0], [0, 3, 0]], dtype=float)
@@ -38,3 +39,28 @@ def test_convex_polygons_are_cut_from_their_first_corner():
 def test_corners_that_do_not_exist_are_kept():
     result = triangulated(np.zeros((2, 3)), np.array([0, 1, 7, 1]), np.array([4]))
     np.testing.assert_array_equal(result.corners, [[0, 1, 2], [0, 2, 3]])
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("m.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nf 1 2\n"),
+        ("m.off", "OFF\n3 2 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n2 0 1\n"),
+        (
+            "m.ply",
+            "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
+            "property float z\nelement face 2\nproperty list uchar int vertex_indices\n"
+            "end_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n2 0 1\n",
+        ),
+    ],
+)
+def test_faces_of_fewer_than_three_corners_are_reported(tmp_path, caplog, name, content):
+    (tmp_path / name).write_text(content)
+    assert len(read_arrays(tmp_path / name)[1]) == 1
+    [said] = caplog.messages
+    assert f"{name}': 1 face has fewer than three corners; is" in said
+    (tmp_path / name).write_text(content.replace("2 0 1", "1 0").replace("f 1 2\n", "f 1\n"))
+    caplog.clear()
+    read_arrays(tmp_path / name)
+    assert "fewer than three corners" in caplog.text
+    assert "cut into" not in caplog.text

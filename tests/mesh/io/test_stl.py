@@ -20,10 +20,11 @@ endsolid a
 
 
 def test_text_is_read(tmp_path):
-    (tmp_path / "m.stl").write_bytes(TEXT)
-    vertices, faces = read_arrays(tmp_path / "m.stl")
-    np.testing.assert_array_equal(vertices, [[0, 0, 0], [1, 0, 0], [0, 1, 0]])
-    np.testing.assert_array_equal(faces, [[0, 1, 2]])
+    for content in (TEXT, b"\xef\xbb\xbf" + TEXT):  # the latter as editors of Windows save it
+        (tmp_path / "m.stl").write_bytes(content)
+        vertices, faces = read_arrays(tmp_path / "m.stl")
+        np.testing.assert_array_equal(vertices, [[0, 0, 0], [1, 0, 0], [0, 1, 0]])
+        np.testing.assert_array_equal(faces, [[0, 1, 2]])
 
 
 def test_bytes_after_the_last_triangle_are_left_out(tmp_path):

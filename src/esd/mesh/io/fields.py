@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import io
 import os
+import re
 from pathlib import Path
 from typing import Any
 
@@ -81,6 +81,10 @@ def write_labels(
 def read_values(path: str | os.PathLike[str]) -> FloatArray:
     """Numbers in a file, (n,) or (n, d): an array, or a line for each vertex.
 
+    Numbers in a line are separated by spaces, commas or semicolons; beside semicolons a comma is
+    that of a decimal. Cells that are empty, or `NA`, are NaN. A first line of words names the
+    columns.
+
     Raises
     ------
     InputError
@@ -94,14 +98,34 @@ def read_values(path: str | os.PathLike[str]) -> FloatArray:
                 f"'{path}' must hold numbers, (n,) or (n, d); got {array.dtype} {array.shape}."
             )
         return array.astype(float)
-    text = _text(path).replace(",", " ")
-    if not text.strip():
+    lines = [line for line in _text(path).splitlines() if line.strip()]
+    if not lines:
         raise InputError(f"'{path}' is empty.")
+    if len(lines) > 1 and _has_number(lines[1]) and not _has_number(lines[0]):
+        del lines[0]
+    between = ";" if ";" in lines[0] else "," if "," in lines[0] else None
+    if between == ";":
+        lines = [line.replace(",", ".") for line in lines]
     try:
-        values = np.loadtxt(io.StringIO(text), ndmin=2)
+        values = np.loadtxt(
+            lines, ndmin=2, delimiter=between, converters=_number if between else None
+        )
     except ValueError as error:
         raise InputError(f"'{path}' must hold numbers for each vertex: {reason(error)}.") from error
     return values[:, 0] if values.shape[1] == 1 else values
+
+
+def _has_number(line: str) -> bool:
+    return any(re.fullmatch(r"[-+]?(\d.*|\.\d.*|nan|inf)", word, re.I) for word in _words(line))
+
+
+def _words(line: str) -> list[str]:
+    return re.split(r"[\s,;]+", line.strip())
+
+
+def _number(cell: str) -> float:
+    """The number in a cell of a line, NaN where there is none."""
+    return float(cell) if cell.strip() not in ("", "NA") else np.nan
 
 
 def write_values(values: FloatArray, path: str | os.PathLike[str]) -> None:

@@ -16,7 +16,15 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from scipy.spatial import KDTree
 
-from esd.common import FloatArray, InputError, IntArray, existing_file, reason, whole_file
+from esd.common import (
+    FloatArray,
+    InputError,
+    IntArray,
+    existing_file,
+    reason,
+    table_rows,
+    whole_file,
+)
 from esd.mesh.mesh import Mesh, PointCloud
 
 _MARKUPS_SCHEMA = (
@@ -224,13 +232,11 @@ def _explanations(
 
 
 def _read_csv(text: str) -> list[_Row]:
-    table = csv.DictReader(io.StringIO(text), skipinitialspace=True)
-    columns = {name.strip() for name in table.fieldnames or () if name}
+    columns, table = table_rows(text)
     if not ({"name", "vertex"} <= columns or {"name", "x", "y", "z"} <= columns):
         raise InputError("must have the columns name,vertex or name,x,y,z.")
     rows = []
-    for row in table:
-        cells = {key.strip(): (value or "").strip() for key, value in row.items() if key}
+    for _, cells in table:
         vertex = cells.get("vertex", "")
         if vertex and int(vertex) != -1:
             rows.append(_Row(cells["name"], _MISSING, int(vertex)))

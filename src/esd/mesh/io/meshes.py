@@ -161,6 +161,8 @@ def read_arrays(path: str | os.PathLike[str]) -> tuple[npt.NDArray[Any], npt.NDA
         suffix = Path(path.stem).suffix.lower()
     if suffix not in FORMATS + POINT_FORMATS:
         known = ", ".join(FORMATS + POINT_FORMATS)
+        if path.is_dir():
+            raise InputError(f"'{path}' is a folder; expected a file with one of {known}.")
         raise InputError(f"'{path}' is not a mesh file; expected one of {known}.")
     existing_file(path)
     if path.stat().st_size > _LARGEST_FILE:

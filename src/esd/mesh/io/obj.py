@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from esd.common import FloatArray, InputError, IntArray
-from esd.mesh.io.polygons import triangulated
+from esd.mesh.io.polygons import polygon_count, triangulated
 from esd.mesh.mesh import Mesh
 
 _NONE = -(2**63)  # the index of what a corner does not have
@@ -89,7 +89,7 @@ def read_obj(path: Path) -> ObjFile:
         vertices=vertices,
         colours=_colours(lines, len(positions)),
         faces=vertex[triangles.corners],
-        polygon_count=len(polygons),
+        polygon_count=polygon_count(path, counts),
         coordinates=np.array(texture, dtype=float).reshape(-1, 2),
         texture_faces=place[triangles.corners],
         material=used[np.cumsum(kinds == "usemtl")[is_face]][triangles.polygon],

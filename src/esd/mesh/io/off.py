@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from esd.common import InputError
-from esd.mesh.io.polygons import triangulated
+from esd.mesh.io.polygons import polygon_count, triangulated
 from esd.mesh.mesh import Mesh
 
 _MAGIC = re.compile(r"(ST)?C?N?OFF$", re.IGNORECASE)
@@ -86,4 +86,5 @@ def _read_any(path: Path) -> tuple[npt.NDArray[Any], npt.NDArray[Any], int]:
         dtype=np.int64,
     )
     vertices = np.array(rows, dtype=float).reshape(-1, 3)
-    return vertices, corners[triangulated(vertices, corners, counts).corners], face_count
+    faces = corners[triangulated(vertices, corners, counts).corners]
+    return vertices, faces, polygon_count(path, counts)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from esd.common import InputError, IntArray
-from esd.mesh.io.polygons import strip_triangles, triangulated
+from esd.mesh.io.polygons import polygon_count, strip_triangles, triangulated
 from esd.mesh.mesh import Mesh, PointCloud
 
 _TYPES = {
@@ -68,22 +69,22 @@ def read_ply(path: Path) -> tuple[Array, IntArray, int]:
         raise InputError("its vertices have no x, y and z.")
     vertices = np.stack([np.asarray(vertex[axis], dtype=float) for axis in "xyz"], axis=1)
     face, strips = content.get("face", {}), content.get("tristrips", {})
-    parts, polygon_count = [np.zeros((0, 3), dtype=np.int64)], 0
+    parts, polygons = [np.zeros((0, 3), dtype=np.int64)], 0
     if face:
         corners, counts = _list_of(face, "face")
         parts.append(corners[triangulated(vertices, corners, counts).corners])
-        polygon_count += len(counts)
+        polygons += polygon_count(path, counts)
     if strips:
         for strip in np.split(*_ends(_list_of(strips, "tristrips"))):
             parts += [strip_triangles(part) for part in np.split(strip, np.flatnonzero(strip < 0))]
-        polygon_count += sum(map(len, parts)) - len(parts[1] if face else ())
+        polygons += sum(map(len, parts)) - len(parts[1] if face else ())
     faces = np.concatenate(parts)
     edges = content.get("edge", {})
     if edges and not len(faces):
         raise InputError("it has edges and no faces; a surface is needed.")
     if (face or strips) and not len(faces):
         raise InputError("none of its faces has three corners.")
-    return vertices, faces, polygon_count
+    return vertices, faces, polygons
 
 
 def ply_elements(path: Path) -> dict[str, dict[str, Array | Lists]]:
@@ -157,9 +158,10 @@ def _properties(columns: Mapping[str, Array]) -> list[str]:
 
 def _header(content: bytes) -> tuple[list[_Element], str, int]:
     """Elements, byte order (empty for text) and where the body begins."""
-    end = content.find(b"end_header")
-    if content[:3] != b"ply" or end < 0:
+    last = re.search(rb"[\r\n][ \t]*end_header", content)  # a comment may name it, too
+    if content[:3] != b"ply" or last is None:
         raise InputError("it does not begin with `ply`, or its head has no end.")
+    end = last.end() - len(b"end_header")
     after = content.find(b"\n", end)
     start = len(content) if after < 0 else after + 1
     if content[end + 10 : end + 11] == b"\r" and content[end + 11 : end + 12] != b"\n":

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import logging
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from esd.common import BoolArray, FloatArray, IntArray
+
+_log = logging.getLogger(__name__)
 
 
 class Triangles(NamedTuple):
@@ -64,6 +68,23 @@ def triangulated(
             if len(ears) == size - 2:
                 result[begins[chosen[k]] : begins[chosen[k]] + size - 2] = at[k][ears]
     return Triangles(result, polygon)
+
+
+def polygon_count(path: Path, counts: npt.NDArray[Any]) -> int:
+    """Number of the polygons that have three corners or more; the log says how many have fewer.
+
+    Parameters
+    ----------
+    path
+        The file that they are in.
+    counts : (p,)
+        Number of corners of each polygon.
+    """
+    fewer = int(np.count_nonzero(np.asarray(counts) < 3))
+    if fewer:
+        faces = "1 face has" if fewer == 1 else f"{fewer} faces have"
+        _log.warning("'%s': %s fewer than three corners; is the file cut short?", path, faces)
+    return len(counts) - fewer
 
 
 def strip_triangles(strip: IntArray) -> IntArray:

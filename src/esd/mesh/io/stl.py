@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import re
 from pathlib import Path
 from typing import Any
@@ -27,7 +28,7 @@ def read_stl(path: Path) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
     InputError
         If it is no STL file, or is cut short.
     """
-    content = path.read_bytes()
+    content = path.read_bytes().removeprefix(codecs.BOM_UTF8)
     announced = int.from_bytes(content[80:84], "little") if len(content) >= 84 else -1
     size = 84 + 50 * announced
     is_text = content.lstrip()[:5].lower() == b"solid" and len(content) != size
