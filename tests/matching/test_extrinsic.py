@@ -4,6 +4,7 @@ from scipy.spatial.transform import Rotation
 
 from esd.matching.extrinsic import aligned, deformed, posed
 from esd.mesh.mesh import Mesh
+from esd.mesh.shapes import grid
 
 
 def bent(mesh: Mesh, amount: float) -> Mesh:
@@ -35,6 +36,20 @@ def test_a_mirror_image_is_aligned_by_a_reflection_only(potato):
     plain, reflected = (aligned(*shapes, mirrored=flag) for flag in (False, True))
     assert reflected.residual < 1e-2
     assert plain.residual > 5 * reflected.residual
+
+
+@pytest.mark.parametrize("turn", [0.0, 1.0])
+def test_a_flat_shape_is_aligned_with_its_copy(turn):
+    sheet = grid(12, 9)
+    linear = Rotation.from_rotvec([0.3, turn, 0.2]).as_matrix()
+    pair = [
+        posed(Mesh(vertices, sheet.faces), filling=np.zeros(108, dtype=bool))
+        for vertices in (sheet.vertices, 5 * sheet.vertices @ linear.T + 1)
+    ]
+    # no search: half a turn in its plane takes a rectangle onto itself as well
+    found = aligned(*pair, matches=[(np.arange(108), np.arange(108))], search=False)
+    np.testing.assert_allclose(found.source.points, pair[1].points, atol=1e-3)
+    assert np.isfinite(found.source.normals).all()
 
 
 def test_given_maps_are_starts(potato):

@@ -21,6 +21,7 @@ _COARSE, _SAMPLES = 300, 1500  # vertices that starts are compared by, and that 
 _ROTATIONS = 8  # random starts beside the four of the principal axes
 _KEPT = 2  # starts that are aligned finely
 _TRIM = 0.8  # share of the correspondences nearer than which they count fully
+_EXACT = 1e-9  # in √area: distances below it are rounding errors
 _CENTRES, _REACH = 60, 0.8  # of the Gaussian kernels that deform, in units of the radius
 _AMPLITUDE = 0.02  # expected displacement, in units of the radius
 _LANDMARK = 10.0  # weight of a landmark beside that of a nearest point
@@ -225,7 +226,7 @@ def _robust_fit(
     for _ in range(10):
         linear, shift = _fit(points, images, weight, sign=sign, affine=False)
         miss = np.linalg.norm(points @ linear.T + shift - images, axis=1)
-        weight = 1 / (1 + (miss / max(float(np.median(miss)), 1e-9)) ** 2)
+        weight = 1 / (1 + (miss / max(float(np.median(miss)), _EXACT)) ** 2)
     return linear, shift
 
 
@@ -306,7 +307,7 @@ def _pairs(
         back, here = KDTree(keys).query(sought)
     one, two = target.usable[there], source.usable[here]
     distance = np.concatenate([away[one], back[two]])
-    scale = max(float(np.quantile(distance, _TRIM)), np.finfo(float).tiny)
+    scale = max(float(np.quantile(distance, _TRIM)), _EXACT)
     return (
         np.concatenate([source.sample[one], here[two]]),
         np.concatenate([there[one], target.sample[two]]),
@@ -322,13 +323,15 @@ def _fit(
     weight = weight / weight.sum()
     middle, other = weight @ points, weight @ images
     x, y = points - middle, images - other
+    product = (y * weight[:, None]).T @ x
+    u, stretch, vt = np.linalg.svd(product)  # Umeyama 1991
+    flips = np.array([1.0, 1.0, sign * np.sign(np.linalg.det(u @ vt))])
+    size = (stretch * flips).sum() / (weight @ (x**2).sum(axis=1))
+    linear = size * u @ np.diag(flips) @ vt
     if affine:
         moment = (x * weight[:, None]).T @ x
-        moment[np.diag_indices(3)] += 1e-6 * np.trace(moment)
-        linear = np.linalg.solve(moment, (x * weight[:, None]).T @ y).T
-    else:  # Umeyama 1991
-        u, stretch, vt = np.linalg.svd((y * weight[:, None]).T @ x)
-        flips = np.array([1.0, 1.0, sign * np.sign(np.linalg.det(u @ vt))])
-        size = (stretch * flips).sum() / (weight @ (x**2).sum(axis=1))
-        linear = size * u @ np.diag(flips) @ vt
+        ridge = 1e-6 * np.trace(moment)
+        moment[np.diag_indices(3)] += ridge
+        # where the points do not extend, as across a flat shape, the similarity decides
+        linear = np.linalg.solve(moment, (product + ridge * linear).T).T
     return linear, other - linear @ middle

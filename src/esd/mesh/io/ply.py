@@ -158,10 +158,10 @@ def _properties(columns: Mapping[str, Array]) -> list[str]:
 
 def _header(content: bytes) -> tuple[list[_Element], str, int]:
     """Elements, byte order (empty for text) and where the body begins."""
-    last = re.search(rb"[\r\n][ \t]*end_header", content)  # a comment may name it, too
-    if content[:3] != b"ply" or last is None:
+    ending = re.search(rb"[\r\n][ \t]*end_header", content)  # a comment may name it, too
+    if content[:3] != b"ply" or ending is None:
         raise InputError("it does not begin with `ply`, or its head has no end.")
-    end = last.end() - len(b"end_header")
+    end = ending.end() - len(b"end_header")
     after = content.find(b"\n", end)
     start = len(content) if after < 0 else after + 1
     if content[end + 10 : end + 11] == b"\r" and content[end + 11 : end + 12] != b"\n":
