@@ -93,13 +93,17 @@ def test_shapes_that_cannot_be_described_are_no_template():
 
 
 def test_what_failed_is_left_out():
-    good = RegisteredShape("a", "a", verdict="good", distance=0.001)
+    good = RegisteredShape("a", "a", verdict="good", distance=0.001, covered=0.99)
     assert reason_to_leave_out(good) == ""
     assert reason_to_leave_out(replace(good, failure="broken")) == "broken"
     assert reason_to_leave_out(replace(good, verdict="failed")) == "the map is failed"
     assert reason_to_leave_out(replace(good, verdict="mirrored")) == "the map is mirrored"
     assert "2.0% of the extent off" in reason_to_leave_out(replace(good, distance=0.02))
     assert reason_to_leave_out(replace(good, distance=float("nan")))
+    assert reason_to_leave_out(replace(good, covered=0.7)) == (
+        "the registered template covers 70% of the shape"
+    )
+    assert reason_to_leave_out(replace(good, covered=float("nan")))
 
 
 def test_an_atlas_of_unregistered_shapes_resumes(collection, tmp_path, monkeypatch):

@@ -59,6 +59,7 @@ _OWN = {
 }
 _UNFINISHED = ".esd-"  # begins names of files that `whole_file` has not finished
 _FAR = 0.01  # of the extent: mean distance to the scan beyond which a registration has failed
+_COVERED = 0.9  # share of a shape's area that the template must cover
 _OTHER_UNIT = 5.0  # times larger or smaller than the median: not a size but a unit of length
 _FEWEST_SEEN = 2  # shapes that must have a vertex for it to be in the statistics
 
@@ -492,6 +493,8 @@ def reason_to_leave_out(shape: RegisteredShape) -> str:
         return f"the map is {shape.verdict}"
     if not shape.distance <= _FAR:
         return f"the registered template is {shape.distance:.1%} of the extent off the shape"
+    if not shape.covered >= _COVERED:
+        return f"the registered template covers {shape.covered:.0%} of the shape"
     return ""
 
 
