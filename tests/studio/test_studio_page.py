@@ -214,6 +214,8 @@ def test_landmarks_are_carried_and_the_pair_is_matched_again(matched):
 def test_a_job_is_cancelled(tab, tmp_path):
     write_mesh(subdivide(subdivide(bent())), tmp_path / "large.off")
     tab.add(tmp_path / "large.off")
+    bar = tab.page.locator("#jobs progress")
+    assert bar.evaluate("(e) => e.position") >= 0  # an undetermined one is animated
     tab.page.click("#jobs button[aria-label^=Cancel]")
     tab.until(lambda: tab.page.locator("#shapes > li").count() == 0)
     assert tab.state()["jobs"][-1]["state"] == "cancelled"

@@ -2,7 +2,21 @@ import json
 from dataclasses import asdict
 
 from esd.matching.confidence import Adaptation, Judgement, Overlap
-from esd.studio.worker import judgement_of
+from esd.mesh.io.meshes import write_mesh
+from esd.mesh.shapes import torus
+from esd.studio.worker import Examine, _Memory, done, judgement_of
+
+
+def test_a_task_reports_how_far_it_is(tmp_path):
+    write_mesh(torus(32, 16), tmp_path / "a.off")
+    reported = []
+    task = Examine(tmp_path / "a.off", "a.off", tmp_path / "a.bin", "hks")
+    done(task, _Memory(), lambda *how_far: reported.append(how_far))
+    stages, shares = zip(*reported, strict=True)
+    assert stages == ("Reading", "Looking for defects", "Computing spectrum and descriptors")
+    assert shares[0] == 0
+    assert list(shares) == sorted(set(shares))
+    assert shares[-1] < 1
 
 
 def test_a_judgement_is_the_same_after_its_file():

@@ -55,6 +55,7 @@ DEFAULTS = {"model": "default", "mirror": "auto"}
 """What is chosen in a new project."""
 
 _OWN = ("studio.js", "landmarks.js", "transfer.js", "gallery.js", "server.js", "studio.css")
+_SHOWN_OF_JOBS = ("number", "title", "state", "stage", "share", "error")
 _KINDS = {".js": "text/javascript", ".css": "text/css"}
 _PATIENCE = 20.0  # seconds after which an unchanged state is sent all the same
 _GLANCE = 0.05  # seconds between two looks at the state
@@ -204,8 +205,7 @@ class Studio:
                 for figures in self.project.maps()
             ],
             "jobs": [
-                {key: getattr(job, key) for key in ("number", "title", "state", "stage", "error")}
-                for job in self.jobs.list()
+                {key: getattr(job, key) for key in _SHOWN_OF_JOBS} for job in self.jobs.list()
             ],
             "settings": self._settings(),
             "models": [*ALIASES, *bundled_models()],

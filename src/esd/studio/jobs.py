@@ -28,8 +28,8 @@ class Job:
         Names it.
     title
         What it does, for people.
-    state, stage
-        How far it is; the stage in words.
+    state, stage, share
+        How far it is; the stage in words, and the share that is done, from 0 to 1.
     error
         Why it failed, in one line.
     """
@@ -39,6 +39,7 @@ class Job:
     task: Task
     state: State = "waiting"
     stage: str = ""
+    share: float = 0.0
     error: str = ""
 
 
@@ -180,7 +181,8 @@ class Jobs:
                 if self._is_cancelled(job):
                     raise EOFError  # the process is about to end
                 if kind == "progress":
-                    self._update(job, state="running", stage=value)
+                    stage, share = value
+                    self._update(job, state="running", stage=stage, share=share)
                 elif kind == "failed":
                     self._update(job, state="failed", stage="", error=value)
                     return None

@@ -48,7 +48,8 @@ from esd.viewing.scene import (
 _MOST_FEATURES = 12  # shapes whose features are held
 _PARTS: dict[str, Any] = {"adaptation": Adaptation, "overlap": Overlap}  # of a judgement
 
-Reporter = Callable[[str], None]
+Reporter = Callable[[str, float], None]
+"""Takes what is done now, and roughly the share of the task that is done."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,8 +125,8 @@ class _Memory:
 def work(tasks: Connection, first_model: str) -> None:
     """Do tasks that come through a pipe, until it is closed.
 
-    Answers with pairs: `progress` and what is done now, `done` and a result, or `failed` and why
-    in one line.
+    Answers with pairs: `progress` and what a `Reporter` takes, `done` and a result, or `failed` and
+    why in one line.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends Ctrl-C to all processes
     logging.basicConfig(format="esd: %(message)s", level=logging.ERROR)
@@ -140,7 +141,7 @@ def work(tasks: Connection, first_model: str) -> None:
         except (EOFError, OSError):
             return
         try:
-            result = done(task, memory, lambda stage: tasks.send(("progress", stage)))
+            result = done(task, memory, lambda *how_far: tasks.send(("progress", how_far)))
             tasks.send(("done", result))
         except BrokenPipeError:
             return
@@ -167,7 +168,7 @@ def done(task: Task, memory: _Memory, report: Reporter) -> dict[str, Any]:
 
 
 def _examined(task: Examine, memory: _Memory, report: Reporter) -> dict[str, Any]:
-    report("Reading")
+    report("Reading", 0.0)
     vertices, faces = read_arrays(task.path)
     if len(faces) == 0:
         raise InputError("It has no faces; the studio shows meshes. Match points by esd match.")
@@ -176,10 +177,10 @@ def _examined(task: Examine, memory: _Memory, report: Reporter) -> dict[str, Any
         raise InputError("Nothing can be drawn: its faces have no area.")
     kind, colours = look(task.path)
     _write_view(shape_scene(drawable, task.name, colours), task.view)
-    report("Looking for defects")
+    report("Looking for defects", 0.15)
     repaired = _shape(memory, task.path)
     marked = [_as_dict(finding, drawable) for finding in repaired.diagnosis.findings]
-    report("Computing spectrum and descriptors")
+    report("Computing spectrum and descriptors", 0.4)
     _features(memory, task.path, task.model)
     return {"vertices": len(vertices), "faces": len(faces), "findings": marked, "look": kind}
 
@@ -204,7 +205,7 @@ def _as_dict(finding: Finding, mesh: Mesh) -> dict[str, Any]:
 
 
 def _repaired(task: Repair, report: Reporter) -> dict[str, Any]:
-    report("Repairing")
+    report("Repairing", 0.0)
     whole = repair(task.path, everything=True).compacted()
     if not isinstance(whole.shape, Mesh):
         raise InputError("Points cannot be repaired as a mesh.")
@@ -217,13 +218,13 @@ def _matched(task: Match, memory: _Memory, report: Reporter) -> dict[str, Any]:
     names: tuple[str, ...] = ()
     if task.landmarks is not None:
         names, pairs = paired_landmarks(*task.landmarks)
-    report("Loading the model")
+    report("Loading the model", 0.0)
     model = _model(memory, task.model)
     features = []
-    for path, name in zip((task.source, task.target), task.names, strict=True):
-        report(f"Computing spectrum and descriptors of {name}")
+    for path, name, share in zip((task.source, task.target), task.names, (0.05, 0.3), strict=True):
+        report(f"Computing spectrum and descriptors of {name}", share)
         features.append(_features(memory, path, task.model))
-    report("Matching")
+    report("Matching", 0.55)
     found = match_features(
         features[0],
         features[1],
@@ -231,7 +232,7 @@ def _matched(task: Match, memory: _Memory, report: Reporter) -> dict[str, Any]:
         landmarks=pairs,
         mirror=task.mirror,  # type: ignore[arg-type]
     )
-    report("Writing")
+    report("Writing", 0.9)
     judged = found.judgement
     figures: dict[str, Any] = {
         "model": model.name,
@@ -250,7 +251,7 @@ def _matched(task: Match, memory: _Memory, report: Reporter) -> dict[str, Any]:
 
 
 def _measured(task: Measure, memory: _Memory, report: Reporter) -> dict[str, Any]:
-    report("Measuring geodesic errors")
+    report("Measuring geodesic errors", 0.0)
     match = task.match
     found = _found(memory, match)
     source, target = (_drawn(memory, path) for path in (match.source, match.target))
@@ -269,7 +270,7 @@ def _measured(task: Measure, memory: _Memory, report: Reporter) -> dict[str, Any
 
 
 def _carried(task: Carry, memory: _Memory, report: Reporter) -> dict[str, Any]:
-    report("Carrying")
+    report("Carrying", 0.0)
     match = load_map(task.map)
     if task.labels is not None:
         labels, names = read_labels(task.labels[0])

@@ -24,6 +24,7 @@ AXES = ("x", "-x", "y", "-y", "z", "-z")
 """Axes that may point up."""
 
 _LINES = 300
+_MOST_SPREAD = 10_000  # vertices among which those of lines are looked for
 _PLACES = 8  # worst places that are listed at most
 _BAD_ERROR, _BAD_CONFIDENCE = 0.05, 0.9  # a place with less error or more confidence is not bad
 _APART = 0.15  # in √area: least distance of two of them
@@ -237,9 +238,10 @@ def _comes_from(source: Mesh, target: Mesh, match: Correspondence) -> IntArray:
 def _spread_matches(source: Mesh, match: Correspondence) -> IntArray:
     """At most 300 matched source vertices, the first of which lie far apart.
 
-    Each is the farthest from those before it, by Euclidean distance.
+    Each is the farthest from those before it, by Euclidean distance, of all or of every k-th.
     """
     matched = np.flatnonzero(match.is_matched() & is_referenced(source))
+    matched = matched[:: -(-len(matched) // _MOST_SPREAD) or 1]
     return matched[spread(source.vertices[matched], _LINES)] if len(matched) else matched
 
 

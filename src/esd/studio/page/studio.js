@@ -218,7 +218,8 @@ function drawJobs() {
       const text = made("span", job.title);
       text.append(made("small", job.error || job.stage || "waiting"));
       if (job.state === "running") {
-        const bar = document.createElement("progress");
+        // an undetermined bar would be animated, and without a GPU each of its pictures costs
+        const bar = Object.assign(document.createElement("progress"), { value: job.share });
         bar.setAttribute("aria-label", job.title);
         text.append(bar);
       }

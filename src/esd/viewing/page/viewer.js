@@ -40,6 +40,7 @@ export function createViewer(stage, on = {}) {
   let pins = [];
   let marked = { source: [], target: [] };
   let frame = 0;
+  let isStale = true; // the surfaces are to be drawn anew
   let moving = 0;
 
   // What is shown
@@ -245,7 +246,14 @@ export function createViewer(stage, on = {}) {
     moving = requestAnimationFrame(next);
   }
 
+  // Draw all before the next picture of the browser.
   function draw() {
+    isStale = true;
+    drawPoints();
+  }
+
+  // Draw the marks anew, and the surfaces only if they changed: pointing at large meshes is quick.
+  function drawPoints() {
     if (!frame) frame = requestAnimationFrame(render);
   }
 
@@ -256,8 +264,11 @@ export function createViewer(stage, on = {}) {
 
   function render() {
     frame = 0;
-    updateCamera();
-    paintStage(getComputedStyle(document.body).backgroundColor, 1);
+    if (isStale) {
+      isStale = false;
+      updateCamera();
+      paintStage(getComputedStyle(document.body).backgroundColor, 1);
+    }
     drawMarks();
     document.documentElement.dataset.ready = "true";
   }
@@ -349,7 +360,7 @@ export function createViewer(stage, on = {}) {
   function pick(x, y) {
     const shape = boxAt(x, y);
     if (!shape) return null;
-    if (frame) updateCamera(); // it moved since what is seen was drawn
+    if (isStale) updateCamera(); // it moved since what is seen was drawn
     const { box } = shape;
     const at = new THREE.Vector2((2 * (x - box.x)) / box.width - 1, 1 - (2 * (y - box.y)) / box.height);
     const ray = new THREE.Raycaster();
@@ -378,7 +389,7 @@ export function createViewer(stage, on = {}) {
   function show(picked) {
     state.picked = picked;
     on.point?.(picked);
-    draw();
+    drawPoints();
   }
 
   function describe({ side, vertex, sources, targets }) {
@@ -427,7 +438,7 @@ export function createViewer(stage, on = {}) {
 
   function setLines(lines) {
     state.lines = Math.min(Math.max(lines, 0), lineLimit());
-    draw();
+    drawPoints();
     changed();
   }
 
@@ -465,7 +476,7 @@ export function createViewer(stage, on = {}) {
 
   function setPins(list) {
     pins = list;
-    draw();
+    drawPoints();
   }
 
   // Vertices that are marked, by name of the shape.
