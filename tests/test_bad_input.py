@@ -210,7 +210,7 @@ CASES: list[tuple[tuple[str, ...], int, str]] = [
             ("off.ply", "does not begin with `ply`"),
             ("ply.obj", "there are no vertices in it"),
             ("words.xyz", "words.xyz"),
-            ("plane.xyz", "plane.xyz"),
+            ("plane.xyz", "line 1 has only 2 columns"),
         )
     ),
     *(
@@ -332,6 +332,8 @@ CASES: list[tuple[tuple[str, ...], int, str]] = [
     (("spectrum", "a.off", "-k", "5", "-o", "out/s.doc"), 1, ".npz"),
     (("spectrum", "a.off", "--laplacian", "guessed"), 2, "guessed"),
     (("descriptor", "a.off", "--kind", "abc", "-o", "out/d.npy"), 1, "abc"),
+    (("descriptor", "a.off", "--kind", "chirality", "-o", "out/d.npy"), 1, "expected one of gps"),
+    (("register", "points.xyz", "a.off", "-o", "out/r.ply"), 1, "a surface is needed"),
     (("descriptor", "a.off", "-o", "out/d.doc"), 1, "descriptors are written to"),
     (("descriptor", "tiny.off", "-o", "out/d.npy"), 1, "tiny.off"),
     (("descriptor", "two.xyz", "-o", "out/d.npy"), 1, "two.xyz"),

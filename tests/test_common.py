@@ -16,6 +16,7 @@ from esd.common import (
     check_can_be_made,
     existing_file,
     install_hint,
+    number_lines,
     read_array,
     reason,
     table_rows,
@@ -216,3 +217,19 @@ def test_tables_are_read_as_spreadsheets_write_them():
     assert columns == {"a", "b", "c"}
     columns, rows = table_rows("")
     assert (columns, list(rows)) == (frozenset(), [])
+
+
+@pytest.mark.parametrize(
+    ("text", "lines", "between"),
+    [
+        ("", [], None),
+        ("1 2\n\n3 4\n", ["1 2", "3 4"], None),
+        ("x\n", ["x"], None),
+        ("a,b\n1,2\n", ["1,2"], ","),
+        ("1,5;2\n3;4\n", ["1.5;2", "3;4"], ";"),
+        ("# 3\n1\n", ["# 3", "1"], None),
+        ("nan\n1\n", ["nan", "1"], None),
+    ],
+)
+def test_lines_of_numbers_are_read_as_spreadsheets_write_them(text, lines, between):
+    assert number_lines(text) == (lines, between)

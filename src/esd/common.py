@@ -32,6 +32,7 @@ _PLAIN = {  # what int, float, numpy, struct and json say
     r"invalid literal for int\(\) with base 10: b?'(.*)'": r"expected a whole number; got '\1'",
     r"could not convert string to float: b?'(.*)'": r"expected a number; got '\1'",
     r"; use `usecols`.*": "",
+    r"invalid column index \d+ at row (\d+) with (\d+) columns?": r"line \1 has only \2 columns",
     r"could not convert string '(.*)' to \w+ at": r"expected a number; got '\1' at",
     r"Exceeds the limit .* for integer string conversion.*": "a whole number is too long",
     r"Python int too large to convert to C \w+": "a whole number is beyond 64 bits",
@@ -125,6 +126,31 @@ def whole_number(cell: str | None) -> int:
         shown = f"got '{text[:40]}'" if text else "the cell is empty"
         raise InputError(f"expected a whole number; {shown}")
     return int(text)
+
+
+def number_lines(text: str) -> tuple[list[str], str | None]:
+    """Lines of numbers in a text, and the sign between numbers, None for spaces.
+
+    A first line of words, the names of columns, is left out. Where semicolons are between numbers,
+    commas may be within, as spreadsheets write them: they become points.
+    """
+    lines = [line for line in text.splitlines() if line.strip()]
+    head = lines[0] if lines else ""
+    between = next((sign for sign in ";," if sign in head), None)
+    words = head.replace(between or " ", " ").split()
+    if len(lines) > 1 and not head.lstrip().startswith("#") and not any(map(_is_number, words)):
+        del lines[0]
+    if between == ";":
+        lines = [line.replace(",", ".") for line in lines]
+    return lines, between
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word.replace(",", "."))
+    except ValueError:
+        return False
+    return True
 
 
 def table_rows(text: str) -> tuple[frozenset[str], Iterator[tuple[int, dict[str, str]]]]:

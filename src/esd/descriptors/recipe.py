@@ -194,9 +194,11 @@ def single_recipe(kind: str, *, log: bool = False) -> Recipe:
     Raises
     ------
     InputError
-        If there is no such descriptor.
+        If there is no such descriptor, or it is made of another one.
     """
-    return Recipe((Descriptor(kind, _WIDTHS.get(kind, 0), log=log),))
+    if kind not in _WIDTHS:
+        raise InputError(f"There is no descriptor '{kind}'; expected one of {', '.join(_WIDTHS)}.")
+    return Recipe((Descriptor(kind, _WIDTHS[kind], log=log),))
 
 
 def part_recipe() -> Recipe:

@@ -47,6 +47,7 @@ def test_clouds_that_cannot_be_used_are_refused(tmp_path, content, message):
         "1,2.5,3\n4,5,6\n",
         "1;2,5;3\n4;5;6\n",
         "x y z\n1 2.5 3\n4 5 6\n",
+        "2\n1 2.5 3\n4 5 6\n",
         "x, y, z\n1, 2.5, 3\n4, 5, 6",
     ],
 )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +14,7 @@ from esd.common import (
     InputError,
     IntArray,
     existing_file,
+    number_lines,
     read_array,
     reason,
     whole_file,
@@ -98,14 +98,9 @@ def read_values(path: str | os.PathLike[str]) -> FloatArray:
                 f"'{path}' must hold numbers, (n,) or (n, d); got {array.dtype} {array.shape}."
             )
         return array.astype(float)
-    lines = [line for line in _text(path).splitlines() if line.strip()]
+    lines, between = number_lines(_text(path))
     if not lines:
         raise InputError(f"'{path}' is empty.")
-    if len(lines) > 1 and _has_number(lines[1]) and not _has_number(lines[0]):
-        del lines[0]
-    between = ";" if ";" in lines[0] else "," if "," in lines[0] else None
-    if between == ";":
-        lines = [line.replace(",", ".") for line in lines]
     try:
         values = np.loadtxt(
             lines, ndmin=2, delimiter=between, converters=_number if between else None
@@ -113,14 +108,6 @@ def read_values(path: str | os.PathLike[str]) -> FloatArray:
     except ValueError as error:
         raise InputError(f"'{path}' must hold numbers for each vertex: {reason(error)}.") from error
     return values[:, 0] if values.shape[1] == 1 else values
-
-
-def _has_number(line: str) -> bool:
-    return any(re.fullmatch(r"[-+]?(\d.*|\.\d.*|nan|inf)", word, re.I) for word in _words(line))
-
-
-def _words(line: str) -> list[str]:
-    return re.split(r"[\s,;]+", line.strip())
 
 
 def _number(cell: str) -> float:

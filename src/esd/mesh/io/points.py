@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from esd.common import InputError
+from esd.common import InputError, number_lines
 
 _KINDS = {"F": "f", "I": "i", "U": "u"}
 
@@ -17,29 +17,17 @@ _KINDS = {"F": "f", "I": "i", "U": "u"}
 def read_xyz(path: Path) -> npt.NDArray[Any]:
     """A point a line, (n, 3): its first three numbers, with spaces, commas or semicolons between.
 
-    A first line of words, the names of columns, is passed over.
+    A first line of words, the names of columns, is passed over, and one that counts the others.
     """
-    text = path.read_text(encoding="utf-8-sig")
-    head = text.lstrip().partition("\n")[0]
-    between = next((sign for sign in ";," if sign in head), None)
-    if between == ";":  # where semicolons are between numbers, commas may be within
-        text = text.replace(",", ".")
-    named = all(not _is_number(word) for word in head.replace(between or " ", " ").split())
-    lines = text.lstrip().splitlines()[1 if named and not head.startswith("#") else 0 :]
+    lines, between = number_lines(path.read_text(encoding="utf-8-sig"))
+    if lines and lines[0].strip() == str(len(lines) - 1):
+        del lines[0]
     with warnings.catch_warnings():  # of a file without points, which is refused here
         warnings.simplefilter("ignore")
         points = np.loadtxt(lines, ndmin=2, usecols=(0, 1, 2), delimiter=between)
     if len(points) == 0:
         raise InputError("there are no points in it.")
     return points
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word.replace(",", "."))
-    except ValueError:
-        return False
-    return True
 
 
 def read_pcd(path: Path) -> npt.NDArray[Any]:
