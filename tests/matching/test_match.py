@@ -43,6 +43,18 @@ def test_one_to_one_maps_take_no_vertex_twice(blob, refine):
     assert np.isinf(single.distance[~single.is_matched()]).all()
 
 
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"mirror": True}, "`mirror` must be one of auto, yes, no; got True"),
+        ({"scale": "x"}, "`scale` must be one of auto, same, free; got x"),
+    ],
+)
+def test_options_that_are_none_are_refused(blob, options, message):
+    with pytest.raises(InputError, match=message):
+        match(blob, blob, **options)
+
+
 def test_too_small_meshes_are_refused_by_models():
     tetrahedron = Mesh(np.eye(4, 3), [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
     with pytest.raises(InputError, match="300 eigenpairs were asked for; this mesh of 4"):

@@ -67,6 +67,8 @@ def test_impossible_refinements_are_refused(pair):
         zoomout(source, target, truth, sizes=(50, 20))
     with pytest.raises(InputError, match="has no match"):
         zoomout(source, target, np.full(len(truth), -1))
+    with pytest.raises(InputError, match=r"for each vertex of the source, .*; got shape \(3,\)"):
+        zoomout(source, target, truth[:3])
     with pytest.raises(InputError, match="from 1 to 80"):
         functional_map(source, target, truth, size=81)
 

@@ -62,6 +62,11 @@ def test_without_the_extra_the_message_names_it(monkeypatch, sphere):
         geodesic_distances(sphere, np.array([0]), exact=True)
 
 
+def test_distances_are_on_whatever_is_a_mesh(sphere):
+    found = geodesic_distances((sphere.vertices, sphere.faces), [3])
+    np.testing.assert_array_equal(found, geodesic_distances(sphere, np.array([3])))
+
+
 def test_sources_must_be_vertices(sphere):
     with pytest.raises(InputError, match="`sources` must be from 0 to"):
         geodesic_distances(sphere, np.array([len(sphere.vertices)]))

@@ -3,8 +3,9 @@ import pytest
 
 from esd.common import InputError
 from esd.mesh.geometry import surface_area
+from esd.mesh.io.meshes import write_mesh
 from esd.mesh.mesh import Mesh
-from esd.mesh.shapes import icosphere
+from esd.mesh.shapes import icosphere, torus
 from esd.spectral.spectrum import save_spectrum, spectrum
 
 
@@ -70,6 +71,16 @@ def test_saved_spectra_hold_every_array(tmp_path, sphere):
         assert file["zero_modes"] == 1
     with pytest.raises(InputError, match=r"\.npz"):
         save_spectrum(found, tmp_path / "s.txt")
+
+
+def test_spectra_are_of_whatever_is_a_mesh(tmp_path):
+    mesh = torus(12, 8)
+    write_mesh(mesh, tmp_path / "m.off")
+    expected = spectrum(mesh, 10).eigenvalues
+    for given in ((mesh.vertices, mesh.faces), tmp_path / "m.off", str(tmp_path / "m.off")):
+        np.testing.assert_array_equal(spectrum(given, 10).eigenvalues, expected)
+    with pytest.raises(InputError, match="Expected a mesh"):
+        spectrum(3)
 
 
 def test_a_wrong_laplacian_is_refused(sphere):

@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Literal, TypeAlias
+from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 
@@ -115,9 +115,12 @@ def match(
     Raises
     ------
     InputError
-        If a mesh or the model cannot be used.
+        If a mesh, the model or an option cannot be used.
     """
     check_copies(one_to_one=one_to_one, coarse=coarse, full=full)
+    for name, given, known in (("mirror", mirror, Mirror), ("scale", scale, Scale)):
+        if given not in get_args(known):
+            raise InputError(f"`{name}` must be one of {', '.join(get_args(known))}; got {given}.")
     if candidates is not None:
         check_candidates(candidates, landmarks=landmarks is not None)
     model = model if isinstance(model, Model) else load_model(model)

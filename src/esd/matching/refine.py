@@ -66,7 +66,7 @@ def zoomout(
     Raises
     ------
     InputError
-        If the numbers are not ascending, or the map has no match.
+        If the numbers are not ascending, or the map is none between the shapes or has no match.
 
     References
     ----------
@@ -75,6 +75,11 @@ def zoomout(
     bijective steps.
     """
     used = usable_sizes(sizes, source, target)
+    if np.shape(target_index) != np.shape(source.mass):
+        raise InputError(
+            "`target_index` must hold a vertex of the target, or -1, for each vertex of the "
+            f"source, ({len(source.mass)},); got shape {np.shape(target_index)}."
+        )
     index, back = target_index, _backwards(target_index, len(target.mass))
     mapped = fitted_map if sampled else functional_map
     if weight is None:

@@ -10,6 +10,7 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from esd.common import FloatArray, InputError, IntArray, install_hint
+from esd.mesh.convert import MeshLike, as_mesh
 from esd.mesh.geometry import is_referenced
 from esd.mesh.mesh import Mesh
 from esd.mesh.topology import EdgeTable, edge_table
@@ -108,13 +109,15 @@ def _shortest_of_each(
     return low[first], high[first], weight[first]
 
 
-def geodesic_distances(mesh: Mesh, sources: IntArray, *, exact: bool = False) -> FloatArray:
+def geodesic_distances(mesh: MeshLike, sources: IntArray, *, exact: bool = False) -> FloatArray:
     """Geodesic distances (s, n) from each source to every vertex, in the mesh's units of length.
 
     Infinite where no path leads.
 
     Parameters
     ----------
+    mesh
+        As `esd.match` takes it.
     sources : (s,)
         Vertex indices.
     exact
@@ -127,6 +130,7 @@ def geodesic_distances(mesh: Mesh, sources: IntArray, *, exact: bool = False) ->
     InputError
         If a source is no vertex, or `exact` is asked for without pygeodesic.
     """
+    mesh = as_mesh(mesh)
     sources = np.asarray(sources, dtype=np.int64).reshape(-1)
     if len(sources) and not (sources.min() >= 0 and sources.max() < len(mesh.vertices)):
         raise InputError(

@@ -12,8 +12,9 @@ import numpy as np
 from scipy.sparse import csgraph
 
 from esd.common import BoolArray, FloatArray, InputError, IntArray, whole_file
+from esd.mesh.convert import MeshLike, as_mesh
 from esd.mesh.geometry import components, is_referenced, surface_area
-from esd.mesh.mesh import Mesh, PointCloud
+from esd.mesh.mesh import PointCloud
 from esd.spectral.cache import Arrays, Cache, content_key
 from esd.spectral.eigensolver import eigenpairs
 from esd.spectral.laplacian import LaplacianKind, SparseMatrix, laplacian
@@ -112,7 +113,7 @@ class Spectrum:
 
 
 def spectrum(
-    shape: Mesh | PointCloud,
+    shape: MeshLike | PointCloud,
     k: int = 300,
     *,
     kind: LaplacianKind = "cotangent",
@@ -126,7 +127,8 @@ def spectrum(
     Parameters
     ----------
     shape
-        A mesh of any number of components, with or without boundary, or a point cloud.
+        A mesh of any number of components, with or without boundary, as `esd.match` takes them, or
+        a point cloud.
     k
         Number of eigenpairs, the constant ones included.
     kind
@@ -137,23 +139,24 @@ def spectrum(
     Raises
     ------
     InputError
-        If the mesh has no area, or no more than k vertices or too many components for k, or its
-        spectrum has more zeros than components.
+        If the mesh cannot be read, has no area, no more than k vertices or too many components for
+        k, or if its spectrum has more zeros than components.
     """
     if isinstance(shape, PointCloud):
         return _cloud_spectrum(shape, k, cache)
-    referenced = is_referenced(shape)
-    zero_modes = int(components(shape).max()) + 1
+    mesh = as_mesh(shape)
+    referenced = is_referenced(mesh)
+    zero_modes = int(components(mesh).max()) + 1
     _check_count(k, int(referenced.sum()), zero_modes)
 
     def compute() -> Arrays:
-        if not surface_area(shape) > 0:
+        if not surface_area(mesh) > 0:
             raise InputError("The mesh has no area: all its faces are degenerate.")
-        matrix, mass = laplacian(shape, kind=kind)
+        matrix, mass = laplacian(mesh, kind=kind)
         return _solved(matrix, mass, k, referenced, zero_modes)
 
     parameters = {"k": k, "kind": kind, "solver": _SOLVER_VERSION}
-    key = content_key("spectrum", shape.vertices, shape.faces, **parameters)
+    key = content_key("spectrum", mesh.vertices, mesh.faces, **parameters)
     arrays = compute() if cache is None else cache.computed(key, compute)
     return Spectrum(**arrays, zero_modes=zero_modes)
 
