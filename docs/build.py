@@ -14,8 +14,18 @@ from esd.datasets.bodies import bodies
 from esd.descriptors.recipe import descriptors, single_recipe
 from esd.evaluation.errors import true_map, vertex_errors
 from esd.matching.match import match
+from esd.mesh.mesh import Mesh
+from esd.mesh.shapes import subdivide
 from esd.spectral.cache import default_cache
-from esd.viewing.figures import curves_figure, match_figure, save_figure, values_figure
+from esd.viewing.colours import position_colours
+from esd.viewing.figures import (
+    blank_figure,
+    curves_figure,
+    draw_mesh,
+    match_figure,
+    save_figure,
+    values_figure,
+)
 from esd.viewing.page import view
 
 DOCS = Path(__file__).parent
@@ -58,10 +68,33 @@ def on_pre_build(config: Any) -> None:
 
 
 def draw_readme_picture() -> None:
-    """Draw two bodies and the map between them, small enough to be committed."""
-    source, target = (bodies()[name].mesh() for name in ("s10_p01", "s12_p05"))
-    figure = match_figure(source, target, match(source, target))
-    figure.savefig(DOCS / "match.png", dpi=70, pil_kwargs={"optimize": True})
+    """Draw four bodies in the colours and the checkerboard of one, carried by maps."""
+    collection = bodies()
+    target = collection["s12_p05"].mesh()
+    colours = position_colours(target)
+    figure = blank_figure(10, 4.4)
+    axes = figure.subplots()
+    right = 0.0  # where the next body begins
+    for name in ("s10_p08", "s11_p02", "s12_p05", "s13_p06"):
+        mesh = collection[name].mesh()
+        index = match(mesh, target).target_index if name != "s12_p05" else slice(None)
+        mesh = Mesh(mesh.vertices + np.array([right, 0, 0]) - mesh.vertices.min(axis=0), mesh.faces)
+        right = mesh.vertices[:, 0].max() + 0.12
+        # the pattern is finer than the faces: each is divided, with what it carries
+        fine, paint, place = (
+            subdivide(subdivide(Mesh(values, mesh.faces))).vertices
+            for values in (mesh.vertices, colours[index], target.vertices[index])
+        )
+        light = np.where(np.sin(np.pi * place / 0.1).prod(axis=1) < 0, 0.78, 1.18)
+        faces = subdivide(subdivide(mesh)).faces
+        draw_mesh(axes, Mesh(fine, faces), np.clip(paint * light[:, None], 0, 1), "z")
+    figure.savefig(
+        DOCS / "match.png",
+        dpi=110,
+        transparent=True,
+        bbox_inches="tight",
+        pil_kwargs={"optimize": True},
+    )
 
 
 if __name__ == "__main__":

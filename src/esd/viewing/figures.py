@@ -18,7 +18,7 @@ from esd.common import FloatArray, InputError, check_can_be_made, whole_file
 from esd.evaluation.errors import area_under_curve, cumulative_curve
 from esd.evaluation.protocol import PairErrors
 from esd.matching.correspondence import Correspondence
-from esd.mesh.geometry import face_normals
+from esd.mesh.geometry import face_normals, vertex_normals
 from esd.mesh.mesh import Mesh
 from esd.viewing.colours import UNMATCHED, carried_colours, position_colours
 
@@ -230,16 +230,15 @@ def _range(values: FloatArray) -> tuple[float, float]:
 
 
 def draw_mesh(axes: Any, mesh: Mesh, colours: FloatArray, up: str) -> None:
-    """Draw the faces that look at the viewer, the farthest first."""
+    """Draw the faces that look at the viewer, the farthest first, shaded as a smooth surface."""
     right, forward, vertical = (0, 1, 2) if up == "z" else (0, 2, 1)
     toward = -1 if up == "z" else 1
-    normals = face_normals(mesh)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
-    view = np.stack([normals[:, right], normals[:, vertical], toward * normals[:, forward]], axis=1)
     depth = toward * mesh.vertices[mesh.faces, forward].mean(axis=1)
     order = np.argsort(depth)
-    order = order[view[order, 2] > 0]
-    shade = 0.45 + 0.55 * np.clip(view[order] @ (_LIGHT / np.linalg.norm(_LIGHT)), 0, 1)
+    order = order[toward * face_normals(mesh)[order, forward] > 0]
+    normals = vertex_normals(mesh)[mesh.faces[order]].mean(axis=1)
+    view = np.stack([normals[:, right], normals[:, vertical], toward * normals[:, forward]], axis=1)
+    shade = 0.45 + 0.55 * np.clip(view @ (_LIGHT / np.linalg.norm(_LIGHT)), 0, 1)
     corners = mesh.vertices[mesh.faces[order]][:, :, [right, vertical]]
     paint = colours[mesh.faces[order]].mean(axis=1) * shade[:, None]
     faces = PolyCollection(
