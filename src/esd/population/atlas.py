@@ -59,7 +59,7 @@ _OWN = {
 }
 _UNFINISHED = ".esd-"  # begins names of files that `whole_file` has not finished
 _FAR = 0.01  # of the extent: mean distance to the scan beyond which a registration has failed
-_COVERED = 0.9  # share of a shape's area that the template must cover
+_COVERED = 0.85  # share of a shape's area that the template must cover
 _OTHER_UNIT = 5.0  # times larger or smaller than the median: not a size but a unit of length
 _FEWEST_SEEN = 2  # shapes that must have a vertex for it to be in the statistics
 

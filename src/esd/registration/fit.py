@@ -29,9 +29,8 @@ _REACH = (0.1, 0.03)  # in √area: farthest nearest point that counts; first an
 _ORIENTED = 0.1  # in √area: length of the normals beside positions, as nearest points are sought
 _UNMATCHED = 0.1  # weight of the claim to a nearest point without a match, beside a sure match
 _LEAST_COSINE = 0.5  # of the normals at a vertex and at its nearest point
-_FILLINGS = 4  # of the surroundings of inverted faces, each wider by a ring of faces
-_FLATTENINGS = 8  # of those of what is still inverted then
-_PASSES = 3  # of both: after many faces were turned back, the last ones start narrowly again
+_WIDTHS = (2, 2, 2, 2, 3, 3, 3, 3, 4, 4, 6, 8)
+"""Rings of faces about inverted ones, up to which their surroundings are placed anew, in turn."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -177,9 +176,13 @@ def without_inverted(
     Faces that are inverted at rest stay as they are.
     """
     at_rest = is_inverted(Mesh(body.rest, faces))
-    ways = [(body.filled, width) for width in range(_FILLINGS)]
-    ways += [(body.flattened, width) for width in range(_FLATTENINGS)]
-    for placed, width in _PASSES * ways:
+    ways = [
+        (placed, width)
+        for most in _WIDTHS
+        for placed in (body.filled, body.flattened)
+        for width in range(most)
+    ]
+    for placed, width in ways:
         inverted = is_inverted(Mesh(vertices, faces)) & ~at_rest
         if not inverted.any():
             break
