@@ -22,7 +22,7 @@ from esd.parallel import EVERY_CORE
 from esd.spectral.cache import default_cache
 
 MODELS = Path(__file__).parents[1] / "src" / "esd" / "learning" / "models"
-BUNDLED = ("oriented", "paper-gps", "paper-hks", "paper-wks")  # presets
+BUNDLED = ("oriented", "paper-gps", "paper-hks", "paper-wks", "partial")  # presets
 HELD_OUT = "s1[0-3]_p0[0369]"  # the subjects held out for testing, in four poses
 
 
@@ -57,8 +57,11 @@ def main() -> None:
         if not folder.exists():
             arguments = [*command.split()[1:-3], str(folder), "--seed", "0"]
             subprocess.run([sys.executable, "-m", "esd", *arguments], check=True)
+            made_by = {"command": command}
+        else:
+            made_by = {}  # its card says it, if it was a command
         model = load_model(folder)
-        card = {**model.card, "command": command}
+        card = {**model.card, **made_by}
         sets = {"held_out_bodies": held_out}
         for data, pattern in options.transfer:
             other = open_collection(data).including(pattern)

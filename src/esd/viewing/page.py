@@ -111,28 +111,57 @@ def page_of(shown: Scene) -> Page:
     """The page that shows a scene."""
     names = (shown.meta["source"], shown.meta["target"])
     title = " → ".join(name for name in names if name) or "correspondence"
+    body = Template(part("view.html")).substitute(
+        stage=part("stage.html"), panel=part("panel.html")
+    )
+    return page_with(
+        shown,
+        title=title,
+        style=part("viewer.css"),
+        modules=MODULES,
+        body=body,
+        start=part("start.js"),
+    )
+
+
+def page_with(
+    shown: Scene, *, title: str, style: str, modules: Sequence[str], body: str, start: str
+) -> Page:
+    """A page of one file that shows a scene.
+
+    Parameters
+    ----------
+    title, style
+        Text of the title, and the style sheet.
+    modules
+        Names of the scripts that the page imports.
+    body
+        What is on the page.
+    start
+        The script that draws the scene there.
+    """
     meta, content = shown.packed()
     return Page(
         Template(part("page.html")).substitute(
             title=escaped(title),
-            style=part("viewer.css"),
-            stage=part("stage.html"),
-            panel=part("panel.html"),
-            modules=import_map(MODULES),
-            meta=as_script(meta),
+            style=style,
+            body=body,
+            modules=_import_map(modules),
+            meta=_as_script(meta),
             arrays=base64.b64encode(content).decode("ascii"),
             library=part("three.min.js"),
+            start=start,
         )
     )
 
 
-def import_map(modules: Sequence[str]) -> str:
+def _import_map(modules: Sequence[str]) -> str:
     """Where a page of one file has modules: each is named by its content."""
     sources = {f"esd/{name}": _as_address(part(name)) for name in modules}
     return json.dumps({"imports": sources})
 
 
-def as_script(meta: Mapping[str, Any]) -> str:
+def _as_script(meta: Mapping[str, Any]) -> str:
     """JSON that does not end the script element that it is in."""
     return json.dumps(meta, ensure_ascii=True).replace("<", "\\u003c")
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Sequence
 from string import Template
 
@@ -13,7 +12,7 @@ from esd.common import FloatArray, InputError
 from esd.mesh.mesh import Mesh
 from esd.population.atlas import Atlas
 from esd.population.shape_model import without_missing
-from esd.viewing.page import Page, as_script, escaped, import_map, part
+from esd.viewing.page import Page, escaped, page_with, part
 from esd.viewing.scene import (
     AXES,
     PALETTE,
@@ -49,21 +48,20 @@ def report(atlas: Atlas, *, title: str = "Atlas", up: str | None = None) -> Page
         If the axis is another.
     """
     shown = _scene(atlas, up)
-    meta, content = shown.packed()
-    return Page(
-        Template(part("report.html")).substitute(
-            title=escaped(title),
-            style=part("viewer.css"),
-            more_style=part("report.css"),
-            modules=import_map(MODULES),
-            statistics=_statistics(atlas),
-            curves=_curves(atlas),
-            modes=_modes_table(atlas),
-            shapes=_shapes_table(atlas),
-            meta=as_script(meta),
-            arrays=base64.b64encode(content).decode("ascii"),
-            library=part("three.min.js"),
-        )
+    body = Template(part("report.html")).substitute(
+        title=escaped(title),
+        statistics=_statistics(atlas),
+        curves=_curves(atlas),
+        modes=_modes_table(atlas),
+        shapes=_shapes_table(atlas),
+    )
+    return page_with(
+        shown,
+        title=title,
+        style=part("viewer.css") + part("report.css"),
+        modules=MODULES,
+        body=body,
+        start=part("start-report.js"),
     )
 
 
