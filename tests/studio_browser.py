@@ -37,17 +37,25 @@ def write_pair(folder: Path, names: tuple[str, str] = ("a.off", "b.off")) -> lis
 class Server:
     """`esd studio` on a project, which can be killed and started again."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, **options) -> None:
         self.folder = folder
+        self._options = options
         self.start()
 
     def start(self) -> None:
         folder = self.folder
         command = [sys.executable, "-m", "esd", "studio", "--no-browser", "--project", str(folder)]
         self._process = subprocess.Popen(
-            command, cwd=folder.parent, stdout=subprocess.PIPE, text=True
+            command, cwd=folder.parent, stdout=subprocess.PIPE, text=True, **self._options
         )
         self.address = re.search(r"http://\S+", self._process.stdout.readline())[0]
+
+    def interrupt(self, *, times: int) -> str:
+        """Press Ctrl-C; what is printed on standard error until it has ended."""
+        for _ in range(times):
+            self._process.send_signal(signal.SIGINT)
+            time.sleep(0.05)
+        return self._process.communicate(timeout=30)[1]
 
     def kill(self) -> None:
         os.kill(self._process.pid, signal.SIGKILL)

@@ -1,6 +1,7 @@
 import concurrent.futures
 import re
 import socket
+import subprocess
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -156,6 +157,12 @@ def test_an_upload_that_is_broken_off_leaves_nothing(server):
             break
         httpx.get(f"{server.address}state")
     assert not list(server.folder.glob(".esd-*"))
+
+
+def test_interrupting_it_ends_it_without_a_word(tmp_path):
+    for times in (1, 2):
+        server = Server(tmp_path / str(times), stderr=subprocess.PIPE)
+        assert server.interrupt(times=times) == ""
 
 
 def test_the_page_names_no_other_site(server):

@@ -162,7 +162,7 @@ def test_a_place_is_suggested(matched):
     page.keyboard.press("s")
     page.wait_for_selector("#marks .pin")
     page.wait_for_timeout(700)
-    assert "least sure" in page.inner_text("#landmark-hint")
+    assert "click the same place on the target" in page.inner_text("#landmark-hint")
     matched.click("target", 0.5, 0.5)  # the camera flew to the place on both
     matched.until(lambda: len(matched.landmarks()) == 1)
     page.keyboard.press("Escape")
@@ -245,6 +245,30 @@ def test_findings_are_shown_where_they_are_and_repaired_on_request(tab, tmp_path
     shapes = tab.state()["shapes"]
     assert shapes[1]["name"] == "torn-repaired.ply"
     assert len(shapes[1]["findings"]) < len(shapes[0]["findings"])
+
+
+def test_a_model_is_chosen_and_shapes_are_swapped_and_removed(matched):
+    page = matched.page
+    page.click("#swap")
+    page.select_option("#model", "paper-hks")
+    matched.until(lambda: matched.state()["settings"]["model"] == "paper-hks")
+    page.click("#start")
+    matched.until(
+        lambda: {m["model"] for m in matched.state()["maps"]} == {"oriented", "paper-hks"}
+    )
+    matched.wait_for_map()
+    page.select_option("#model", "default")
+    matched.until(lambda: matched.state()["settings"]["model"] == "default")
+    asked = []
+    page.once("dialog", lambda dialog: (asked.append(dialog.message), dialog.dismiss()))
+    page.locator("#shapes button[aria-label^=Remove]").first.click()
+    matched.until(lambda: asked)
+    assert "with its maps?" in asked[0]
+    assert len(matched.state()["shapes"]) == 2
+    page.once("dialog", lambda dialog: dialog.accept())
+    page.locator("#shapes button[aria-label^=Remove]").first.click()
+    matched.until(lambda: len(matched.state()["shapes"]) == 1)
+    matched.empty()
 
 
 def test_all_pairs_of_several_shapes_are_in_the_gallery(tab, tmp_path):

@@ -181,7 +181,8 @@ def test_verdict_figures_and_worst_places_are_shown(browser, saved):
     opened = Opened(browser, saved, viewport={"width": 1070, "height": 700})
     tab = opened.tab
     assert re.fullmatch(
-        r"(Failed|Doubtful) about \d+% within 5 % of the diameter", tab.inner_text("#verdict")
+        r"(Failed|Doubtful): about \d+% of the matches within 5 % of the diameter",
+        tab.inner_text("#verdict"),
     )
     assert tab.is_visible("#warning")
     assert "sphere-model" in tab.inner_text("#statistics")

@@ -10,7 +10,7 @@ import shutil
 import tempfile
 import time
 from collections.abc import AsyncIterator, Callable, Iterator
-from contextlib import asynccontextmanager, contextmanager
+from contextlib import contextmanager
 from dataclasses import asdict, replace
 from importlib import resources
 from pathlib import Path
@@ -517,7 +517,7 @@ def create_app(studio: Studio, *, token: str, port: int) -> ASGIApp:
     Parameters
     ----------
     studio
-        Which answers; its jobs end with the application.
+        Which answers; whoever runs the application closes its jobs.
     token
         Without which nothing is answered.
     port
@@ -555,14 +555,8 @@ def create_app(studio: Studio, *, token: str, port: int) -> ASGIApp:
         Route("/jobs/{number:int}", studio.cancel_job, methods=["DELETE"]),
     ]
 
-    @asynccontextmanager
-    async def lifespan(_: Starlette) -> AsyncIterator[None]:
-        yield
-        await run_in_threadpool(studio.jobs.close)
-
     app = Starlette(
         routes=routes,
-        lifespan=lifespan,
         exception_handlers={InputError: _refused, HTTPException: _failed, OSError: _unwritten},  # type: ignore[dict-item]
     )
     return Guard(app, token=token, port=port, policy=policy)

@@ -71,17 +71,25 @@ def serve(
     token = secrets.token_urlsafe(24)
     studio = Studio(project)
     app = create_app(studio, token=token, port=port)
-    numbers = []
-    for shape in shapes:
-        with tempfile.NamedTemporaryFile(dir=folder, prefix=".esd-", delete=False) as copy:
-            path = Path(copy.name)
-        shutil.copyfile(shape, path)
-        numbers.append(studio.add_file(path, shape.name).number)
-    if len(numbers) == 2:
-        studio.match(*numbers, landmarks=False)
-    listener.listen()  # a browser that is quicker than the server waits
-    on_start(f"http://{_ADDRESS}:{port}/{token}/")
-    config = uvicorn.Config(
-        app, log_level="error", access_log=False, server_header=False, timeout_graceful_shutdown=1
-    )
-    uvicorn.Server(config).run(sockets=[listener])
+    try:
+        numbers = []
+        for shape in shapes:
+            with tempfile.NamedTemporaryFile(dir=folder, prefix=".esd-", delete=False) as copy:
+                path = Path(copy.name)
+            shutil.copyfile(shape, path)
+            numbers.append(studio.add_file(path, shape.name).number)
+        if len(numbers) == 2:
+            studio.match(*numbers, landmarks=False)
+        listener.listen()  # a browser that is quicker than the server waits
+        on_start(f"http://{_ADDRESS}:{port}/{token}/")
+        config = uvicorn.Config(
+            app,
+            lifespan="off",
+            log_level="error",
+            access_log=False,
+            server_header=False,
+            timeout_graceful_shutdown=1,
+        )
+        uvicorn.Server(config).run(sockets=[listener])
+    finally:
+        studio.jobs.close()

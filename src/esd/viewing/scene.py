@@ -248,7 +248,7 @@ def _spread_matches(source: Mesh, match: Correspondence) -> IntArray:
 def _verdict(judged: Judgement | None) -> dict[str, str] | None:
     if judged is None:
         return None
-    share = f"about {judged.expected_accuracy:.0%} within 5 % of the diameter"
+    share = f"about {judged.expected_accuracy:.0%} of the matches within 5 % of the diameter"
     return {"word": judged.verdict, "share": share, "advice": judged.advice}
 
 

@@ -122,6 +122,10 @@ export function createLandmarks(viewer, say) {
 
   // Fly to the place where the map is least sure and no landmark is near.
   function suggest() {
+    if (!viewer.state.hasMap) {
+      say("Match the shapes first, or add pairs where you know them.");
+      return;
+    }
     const { meta, arrays } = viewer.scene();
     const at = (i) => [0, 1, 2].map((k) => arrays.source_positions[3 * i + k]);
     const away = (a, b) => Math.hypot(...at(a).map((x, k) => x - at(b)[k]));
@@ -135,13 +139,15 @@ export function createLandmarks(viewer, say) {
     pending.source = place.vertex;
     viewer.fly(place.vertex);
     draw();
-    element("landmark-hint").textContent = "Here the map is least sure: click the same place on the target.";
+    const why = place.isFar ? "The map is sure everywhere. This place is far from the other landmarks" : "Here the map is least sure";
+    element("landmark-hint").textContent = `${why}: click the same place on the target.`;
   }
 
-  // Where the map is sure everywhere: far points, which `line_order` begins with.
+  // Where the map is sure everywhere: far points, which `line_order` begins with after its first.
   function firstFree(arrays, isFree) {
-    const vertex = [...(arrays.line_order ?? [])].find(isFree);
-    return vertex === undefined ? null : { vertex };
+    const [first, ...far] = arrays.line_order ?? [];
+    const vertex = [...far, first].find((each) => each !== undefined && isFree(each));
+    return vertex === undefined ? null : { vertex, isFar: true };
   }
 
   const both = () => rows.filter(({ source, target }) => source >= 0 && target >= 0).length;
@@ -167,6 +173,7 @@ export function createLandmarks(viewer, say) {
     element("landmark-redo").disabled = !undone.length;
     element("rematch").disabled = both() < 3;
     element("rematch").textContent = both() < 3 ? `Match with landmarks (${both()} of 3)` : `Match with ${both()} landmarks`;
+    element("landmark-head").hidden = !rows.length;
     const list = element("landmark-list");
     keepingFocus(list, () => list.replaceChildren(...rows.map(drawnRow)));
   }

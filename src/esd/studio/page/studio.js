@@ -51,6 +51,8 @@ if (hasWebGL2()) {
       Escape: () => { landmarks.setAdding(false); viewer.drop(); },
     },
   });
+  const added = [["N, S", "add pairs of landmarks; go where the map is least sure"], ["Ctrl+Z", "undo a landmark; with Shift, redo"]];
+  for (const [key, text] of added) document.querySelector("#help dl").append(made("dt", key), made("dd", text));
 } else showFailure(stage);
 
 const shapeOf = (number) => state.shapes.find((shape) => shape.number === number);
@@ -78,6 +80,8 @@ const showPair = guarded(async () => {
   const ready = [source, target].filter((shape) => shape && shape.vertices !== null);
   const key = map ? `map ${pair.source} ${pair.target} ${map.stamp} ${source.labels}` : `shapes ${ready.map(({ number }) => number)}`;
   empty.hidden = ready.length > 0;
+  element("empty-button").hidden = state.shapes.length > 0;
+  element("empty-line").textContent = state.shapes.length ? "The meshes are being examined …" : "Drop two meshes here, or a folder of them.";
   element("export").hidden = !map;
   landmarks?.show(state.version, ...(ready.length === 2 ? ready : []));
   if (!viewer || key === shown) return;
@@ -171,7 +175,12 @@ function drawnShape(shape) {
   if (shape.findings.length) item.append(drawnFindings(shape));
   const remove = made("button", "Remove", { type: "button" });
   remove.setAttribute("aria-label", `Remove ${shape.name}`);
-  remove.addEventListener("click", guarded(() => ask(`shapes/${shape.number}`, { method: "DELETE" })));
+  remove.addEventListener("click", guarded(async () => {
+    const lost = [[shape.names.length, "landmarks"], [state.maps.filter((map) => [map.source, map.target].includes(shape.number)).length, "maps"]];
+    const named = lost.filter(([count]) => count).map(([, name]) => name);
+    if (named.length && !confirm(`Remove ${shape.name} with its ${named.join(" and ")}?`)) return;
+    await ask(`shapes/${shape.number}`, { method: "DELETE" });
+  }));
   const buttons = made("span", "", { className: "buttons" });
   if (shape.findings.length) {
     const repair = made("button", "Repair", { type: "button", title: "Adds a repaired copy" });

@@ -67,7 +67,7 @@ export function connectPanel(viewer, { keys: more = {} } = {}) {
     element("warning").hidden = !verdict?.advice;
     if (verdict) {
       element("verdict").dataset.verdict = verdict.word;
-      element("verdict").replaceChildren(made("b", verdict.word), ` ${verdict.share}`);
+      element("verdict").replaceChildren(made("b", verdict.word), `: ${verdict.share}`);
       element("warning").dataset.verdict = verdict.word;
       element("warning").replaceChildren(made("b", verdict.word), ` ${verdict.advice}`);
     }
@@ -150,7 +150,10 @@ export function connectPanel(viewer, { keys: more = {} } = {}) {
   let place = -1;
   function nextPlace(step) {
     const places = shown?.places ?? [];
-    if (!places.length) return;
+    if (!places.length) {
+      element("readout").textContent = element("no-places").textContent;
+      return;
+    }
     place = (place + step + places.length) % places.length;
     viewer.fly(places[place].vertex);
   }
