@@ -57,7 +57,7 @@ class Cache:
                 raise ValueError("its arrays are not those that were stored")
             os.utime(path)
             _log.info("Found in the cache: %s", path)
-        except FileNotFoundError:
+        except (FileNotFoundError, NotADirectoryError):
             return None
         except Exception as error:  # zipfile and numpy fail in many ways on damaged files
             _log.warning("The cache entry '%s' is damaged and is computed again: %s", path, error)
