@@ -1,5 +1,6 @@
 import logging
 import sys
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -16,6 +17,8 @@ from esd.mesh.shapes import subdivide, torus
 @pytest.fixture
 def run_here(capsys, monkeypatch):
     """Run a command in this process, which saves the time of a start."""
+    # no lines of progress, which a busy machine would have between what is tested
+    monkeypatch.setattr("esd.cli.progress.SILENCE", 1e6)
 
     def run_command(*arguments: object, expect: int = 0, where: Path) -> SimpleNamespace:
         monkeypatch.chdir(where)
@@ -29,6 +32,20 @@ def run_here(capsys, monkeypatch):
         return SimpleNamespace(stdout=stdout, stderr=stderr)
 
     return run_command
+
+
+@pytest.fixture
+def run(run_here, tmp_path, monkeypatch):
+    """The same in the folder of the test, with a wide terminal and no processes unless asked for."""
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setattr("esd.parallel.core_count", lambda: 1)
+    return partial(run_here, where=tmp_path)
+
+
+@pytest.fixture
+def as_they_are(monkeypatch):
+    """Small meshes are not subdivided before they are matched, which takes most of the time."""
+    monkeypatch.setattr("esd.matching.features._FEWEST", 300)
 
 
 @pytest.fixture

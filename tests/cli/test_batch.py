@@ -1,6 +1,3 @@
-from command import run
-
-
 def test_where_all_pairs_fail_no_other_map_is_mentioned(run_here, tmp_path):
     (tmp_path / "pairs.csv").write_text("Source;Target\nno.off;none.off\n")
     done = run_here("batch", "pairs.csv", "-m", "hks", "--workers", 1, expect=1, where=tmp_path)
@@ -8,7 +5,7 @@ def test_where_all_pairs_fail_no_other_map_is_mentioned(run_here, tmp_path):
     assert done.stderr == "esd: 1 of 1 pairs failed.\n"
 
 
-def test_a_batch_of_pairs(shapes, tmp_path):
+def test_a_batch_of_pairs(run, shapes, tmp_path):
     pairs = shapes / "pairs.csv"
     pairs.write_text("source,target\ntr_reg_000.off,tr_reg_010.off\ntr_reg_010.off,no.off\n")
     done = run("batch", pairs, "-m", "hks", "-o", tmp_path, "--workers", 2, expect=1)

@@ -1,11 +1,10 @@
 import h5py
 import numpy as np
 
-from command import run
 from esd.mesh.shapes import torus
 
 
-def test_sequences_are_listed_and_selected(tmp_path):
+def test_sequences_are_listed_and_selected(run, tmp_path):
     source, selection = tmp_path / "dyna", tmp_path / "selection.hdf5"
     mesh = torus(6, 5)
     with h5py.File(source, "w") as file:

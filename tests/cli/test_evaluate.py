@@ -1,9 +1,7 @@
 import json
 
-from command import run
 
-
-def test_from_training_to_a_map_and_its_error(shapes, tmp_path):
+def test_from_training_to_a_map_and_its_error(run, shapes, tmp_path):
     model, output = tmp_path / "m", tmp_path / "map.csv"
     run(
         "train",
@@ -48,7 +46,7 @@ def test_from_training_to_a_map_and_its_error(shapes, tmp_path):
     assert "hks (raw descriptor)" in run("model", "list").stdout
 
 
-def test_several_models_are_compared_in_one_figure(shapes, tmp_path):
+def test_several_models_are_compared_in_one_figure(run, shapes, tmp_path):
     model, plot = tmp_path / "metric", tmp_path / "curves.png"
     done = run("train", shapes, "-o", model, "--preset", "osd", "--include", "*[0-2]0")
     assert "trained 400 steps on 3 shapes" in done.stdout

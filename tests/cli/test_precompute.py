@@ -1,9 +1,7 @@
 import json
 
-from command import run
 
-
-def test_a_store_is_made_trained_on_and_brought_up_to_date(shapes, tmp_path):
+def test_a_store_is_made_trained_on_and_brought_up_to_date(run, shapes, tmp_path):
     store = tmp_path / "s.h5"
     made = ("precompute", shapes, "-o", store, "--preset", "paper-gps", "--workers", 2)
     assert "4 shapes computed, 0 unchanged" in run(*made).stdout
@@ -27,7 +25,7 @@ def test_a_store_is_made_trained_on_and_brought_up_to_date(shapes, tmp_path):
     assert "stores are written to .h5" in done.stderr
 
 
-def test_shapes_that_fail_are_listed(shapes, tmp_path):
+def test_shapes_that_fail_are_listed(run, shapes, tmp_path):
     (shapes / "corres").mkdir()
     for file in shapes.glob("*.off"):
         (shapes / "corres" / f"{file.stem}.vts").write_text("1\n2\n3\n")

@@ -3,7 +3,6 @@ import json
 import numpy as np
 import pytest
 
-from command import run
 from esd.datasets.deformation import deformed
 from esd.mesh.io.meshes import write_mesh
 from esd.mesh.mesh import Mesh
@@ -27,7 +26,8 @@ def unregistered(tmp_path):
     return folder
 
 
-def test_a_folder_of_unregistered_meshes_needs_no_option(unregistered, tmp_path):
+@pytest.mark.usefixtures("as_they_are")
+def test_a_folder_of_unregistered_meshes_needs_no_option(run, unregistered, tmp_path):
     (unregistered / "flat.ply").write_bytes((unregistered / "s0.ply").read_bytes()[:2000])
     done = run("train", unregistered, "-o", tmp_path / "model", "--steps", 3)
     assert "trained 3 steps" in done.stdout
@@ -39,7 +39,9 @@ def test_a_folder_of_unregistered_meshes_needs_no_option(unregistered, tmp_path)
     assert card["curve"][-1]["step"] == 3
 
 
-def test_what_learning_without_correspondences_cannot_do_is_refused(unregistered, shapes, tmp_path):
+def test_what_learning_without_correspondences_cannot_do_is_refused(
+    run, unregistered, shapes, tmp_path
+):
     where = ("-o", tmp_path / "model")
     done = run("train", unregistered, *where, "--preset", "paper-hks", expect=1)
     assert "has no correspondences, which the preset 'paper-hks' needs" in done.stderr

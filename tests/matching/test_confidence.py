@@ -1,7 +1,9 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from esd.matching.confidence import confidence, evidence, judgement, orientation
+from esd.matching.confidence import Overlap, confidence, evidence, judgement, orientation
 from esd.matching.match import with_similarity
 from esd.mesh.mesh import Mesh
 from esd.mesh.shapes import icosphere
@@ -88,3 +90,18 @@ def test_without_margin_similarity_is_relative_to_chance():
     mean = ((source[:, None] - target) ** 2).sum(axis=2).mean()
     result = with_similarity(source, target, nearest(source, target)[0], margin=None)
     np.testing.assert_allclose(result.confidence, np.exp(-(result.distance**2) / mean))
+
+
+@pytest.mark.parametrize(
+    ("scale", "unit"),
+    [
+        (1.1, "of one unit of length."),  # people differ
+        (0.001, "of different units, a length of 1 in the target 0.001 in the source."),
+    ],
+)
+def test_an_overlap_is_said_with_the_units_that_were_taken(blob, truth, scale, unit):
+    verdict = judgement(blob, blob, truth, confidence(blob, blob, truth, truth))
+    partial = replace(verdict, overlap=Overlap(0.62, scale, 0.9))
+    assert partial.candidate == "part"
+    said = "Partial: about 62% of the source has a counterpart; the shapes were taken to be "
+    assert partial.advice == said + unit
