@@ -29,8 +29,10 @@ _REACH = (0.1, 0.03)  # in √area: farthest nearest point that counts; first an
 _ORIENTED = 0.1  # in √area: length of the normals beside positions, as nearest points are sought
 _UNMATCHED = 0.1  # weight of the claim to a nearest point without a match, beside a sure match
 _LEAST_COSINE = 0.5  # of the normals at a vertex and at its nearest point
-_WIDTHS = (2, 2, 2, 2, 3, 3, 3, 3, 4, 4, 6, 8)
+_WIDTHS = (2, 3, 4, 6)
 """Rings of faces about inverted ones, up to which their surroundings are placed anew, in turn."""
+
+_REPEATS, _STALLED = 4, 2  # of each; after so many in a row that leave no fewer, the next one
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -142,13 +144,15 @@ def fit(
 
     for share, length in _rounds(_SURFACE_LENGTHS):
         vertices, accepted = drawn_to_surface(vertices, share, length)
+    turned = without_inverted(body, vertices, template.faces)
+    at_rest = is_inverted(template)
     for _ in range(_FINISHING):
-        turned = without_inverted(body, vertices, template.faces)
-        if turned is vertices:
+        is_left = is_inverted(Mesh(turned, template.faces)) & ~at_rest
+        if turned is vertices or is_left.any():
             break
         vertices, accepted = drawn_to_surface(turned, 1.0, _FINISHING_LENGTH)
-    vertices = without_inverted(body, vertices, template.faces)
-    return Fit(vertices, accepted, scale)
+        turned = without_inverted(body, vertices, template.faces)
+    return Fit(turned, accepted, scale)
 
 
 def is_inverted(mesh: Mesh) -> BoolArray:
@@ -176,22 +180,28 @@ def without_inverted(
     Faces that are inverted at rest stay as they are.
     """
     at_rest = is_inverted(Mesh(body.rest, faces))
-    ways = [
-        (placed, width)
-        for most in _WIDTHS
-        for placed in (body.filled, body.flattened)
-        for width in range(most)
-    ]
-    for placed, width in ways:
-        inverted = is_inverted(Mesh(vertices, faces)) & ~at_rest
-        if not inverted.any():
-            break
-        free = np.zeros(len(vertices), dtype=bool)
-        free[faces[inverted]] = True
-        for _ in range(width):
-            free[faces[free[faces].any(axis=1)]] = True
-        if not free.all():
-            vertices = placed(vertices, free)
+
+    def left() -> BoolArray:
+        return is_inverted(Mesh(vertices, faces)) & ~at_rest
+
+    for most in _WIDTHS:
+        ways = [(p, width) for p in (body.filled, body.flattened) for width in range(most)]
+        stalled = 0
+        for _ in range(_REPEATS):
+            before = left().sum()
+            for placed, width in ways:
+                inverted = left()
+                if not inverted.any():
+                    return vertices
+                free = np.zeros(len(vertices), dtype=bool)
+                free[faces[inverted]] = True
+                for _ in range(width):
+                    free[faces[free[faces].any(axis=1)]] = True
+                if not free.all():
+                    vertices = placed(vertices, free)
+            stalled = stalled + 1 if left().sum() >= before else 0
+            if stalled == _STALLED:
+                break
     return vertices
 
 
