@@ -69,7 +69,7 @@ export function connectPanel(viewer, { keys: more = {} } = {}) {
       element("verdict").dataset.verdict = verdict.word;
       element("verdict").replaceChildren(made("b", verdict.word), `: ${verdict.share}`);
       element("warning").dataset.verdict = verdict.word;
-      element("warning").replaceChildren(made("b", verdict.word), ` ${verdict.advice}`);
+      element("warning").replaceChildren(made("b", verdict.word), made("span", ` ${verdict.advice}`));
     }
     element("statistics").replaceChildren(...statistics.flatMap(([name, value]) => [made("dt", name), made("dd", value)]));
   }
