@@ -1,10 +1,15 @@
+import logging
 import os
 import shutil
+import sys
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from esd.cli import main
 from esd.datasets.collection import Collection, Shape
 from esd.mesh.io.meshes import write_mesh
 from esd.mesh.mesh import Mesh
@@ -68,6 +73,40 @@ def shapes(tmp_path: Path) -> Path:
         bend = np.sin(mesh.vertices[:, [1, 2, 0]] * (1 + 0.2 * i) + np.arange(3))
         write_mesh(Mesh(mesh.vertices + 0.2 * bend, mesh.faces), folder / f"tr_reg_0{i}0.off")
     return folder
+
+
+@pytest.fixture
+def run_here(capsys, monkeypatch):
+    """Run a command in this process, which saves the time of a start."""
+    # no lines of progress, which a busy machine would have between what is tested
+    monkeypatch.setattr("esd.cli.progress.SILENCE", 1e6)
+
+    def run_command(*arguments: object, expect: int = 0, where: Path) -> SimpleNamespace:
+        monkeypatch.chdir(where)
+        monkeypatch.setattr(sys, "argv", ["esd", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+            raise SystemExit(0)
+        logging.getLogger().setLevel(logging.WARNING)
+        stdout, stderr = capsys.readouterr()
+        assert (ended.value.code or 0) == expect, stderr
+        return SimpleNamespace(stdout=stdout, stderr=stderr)
+
+    return run_command
+
+
+@pytest.fixture
+def run(run_here, tmp_path, monkeypatch):
+    """The same in the folder of the test, with a wide terminal and no processes unless asked for."""
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setattr("esd.parallel.core_count", lambda: 1)
+    return partial(run_here, where=tmp_path)
+
+
+@pytest.fixture
+def as_they_are(monkeypatch):
+    """Small meshes are not subdivided before they are matched, which takes most of the time."""
+    monkeypatch.setattr("esd.matching.features._FEWEST", 300)
 
 
 @pytest.fixture

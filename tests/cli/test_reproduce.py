@@ -1,14 +1,12 @@
 import os
 from pathlib import Path
 
-from command import run
-
 
 def files(folder: Path) -> set[str]:
     return {name for _, _, names in os.walk(folder) for name in names}
 
 
-def test_experiments_write_reports_and_go_on(shapes, tmp_path):
+def test_experiments_write_reports_and_go_on(run, shapes, tmp_path):
     arguments = ("reproduce", "dimension", "--data", shapes, "-o", tmp_path / "r", "--quick")
     assert "report.md" in run(*arguments).stdout
     folder = tmp_path / "r" / "dimension"

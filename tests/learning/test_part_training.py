@@ -4,7 +4,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from command import run
 from esd.common import InputError
 from esd.datasets.collection import Collection
 from esd.datasets.open import open_collection
@@ -166,7 +165,7 @@ def test_shapes_that_cannot_be_cut_or_have_nothing_in_common_are_refused(two, bl
         train_on_parts(bare, TRAINING)
 
 
-def test_the_command_trains_on_shapes_with_correspondences_alone(shapes, tmp_path):
+def test_the_command_trains_on_shapes_with_correspondences_alone(run, shapes, tmp_path):
     where = ("-o", tmp_path / "model", "--preset", "partial")
     done = run("train", shapes, *where, "--steps", 2, "--include", "*[01]0")
     assert "trained 2 steps on 2 shapes" in done.stdout

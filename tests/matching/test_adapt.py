@@ -7,7 +7,6 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from command import run
 from esd.common import InputError
 from esd.learning.model import Layer, Model, raw_model, save_model
 from esd.matching import adapt
@@ -140,7 +139,7 @@ def files(untrained, tmp_path):
     return tmp_path / "1.ply", tmp_path / "2.ply", "--model", tmp_path / "untrained"
 
 
-def test_the_command_says_what_adapting_cost_and_gave(files, tmp_path):
+def test_the_command_says_what_adapting_cost_and_gave(run, files, tmp_path):
     options = ("--full", "--candidates", "embedding", "--mirror", "no", "--no-refine", "--adapt")
     done = run("match", *files, "-o", tmp_path / "map.csv", *options)
     assert re.search(r"Adapting the model took \d+ s; the cost fell from", done.stdout)
@@ -150,7 +149,9 @@ def test_the_command_says_what_adapting_cost_and_gave(files, tmp_path):
     assert adaptation["cost_after"] < adaptation["cost_before"]
 
 
-def test_a_model_that_cannot_be_adapted_is_refused_before_anything_is_computed(files, tmp_path):
+def test_a_model_that_cannot_be_adapted_is_refused_before_anything_is_computed(
+    run, files, tmp_path
+):
     output = tmp_path / "map.csv"
     done = run("match", *files[:2], "-o", output, "--model", "paper-hks", "--adapt", expect=1)
     assert "'paper-hks' cannot learn without correspondences" in done.stderr

@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from command import run
 from esd.common import InputError
 from esd.learning.model import Model, save_model
 from esd.matching import batch
@@ -143,7 +142,7 @@ def test_a_bad_map_is_replaced_by_one_through_another_shape(files, model, tmp_pa
     assert np.linalg.norm(there[index] - there[truth(0, 2)], axis=1).mean() < 0.5
 
 
-def test_the_command_reports_on_the_collection(files, model, tmp_path):
+def test_the_command_reports_on_the_collection(run, files, model, tmp_path):
     save_model(model, tmp_path / "raw")
     rows = [f"{a.name},{b.name}" for a in files for b in files if a != b]
     (tmp_path / "pairs.csv").write_text("source,target\n" + "\n".join(rows) + "\n")
