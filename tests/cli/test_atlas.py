@@ -9,7 +9,6 @@ import sys
 import numpy as np
 import pytest
 
-from command import run
 from esd.mesh.io.meshes import write_mesh
 from esd.mesh.mesh import Mesh
 from esd.mesh.shapes import icosphere
@@ -26,7 +25,9 @@ def ellipsoids(tmp_path):
     return tmp_path / "in"
 
 
-def test_an_atlas_of_registered_meshes_is_written_and_replaced_only_by_itself(ellipsoids, tmp_path):
+def test_an_atlas_of_registered_meshes_is_written_and_replaced_only_by_itself(
+    run, ellipsoids, tmp_path
+):
     out = tmp_path / "out"
     done = run("atlas", ellipsoids, "-o", out, "--registered", "--json")
     summary = json.loads(done.stdout)
@@ -64,7 +65,7 @@ def test_an_atlas_of_registered_meshes_is_written_and_replaced_only_by_itself(el
     ],
 )
 def test_what_cannot_be_done_is_refused_before_anything_is(
-    ellipsoids, tmp_path, monkeypatch, arguments, code, message
+    run, ellipsoids, tmp_path, monkeypatch, arguments, code, message
 ):
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "a.txt").write_text("kept")
@@ -109,7 +110,7 @@ def content(folder):
     return [path.relative_to(folder) for path in files], texts, arrays
 
 
-def test_a_run_that_is_killed_anywhere_resumes_with_the_same_result(shapes, tmp_path):
+def test_a_run_that_is_killed_anywhere_resumes_with_the_same_result(run, shapes, tmp_path):
     options = [shapes, "--model", "gps", "--keep-failed", "--workers", "1"]
     run("atlas", *options, "-o", tmp_path / "at_once")
     steps = [

@@ -5,7 +5,6 @@ import json
 import numpy as np
 import pytest
 
-from command import run
 from esd.cli.register import register
 from esd.matching.correspondence import Correspondence
 from esd.mesh.io.meshes import read_mesh, write_mesh
@@ -13,7 +12,7 @@ from esd.mesh.io.ply import ply_bytes, ply_elements
 from esd.mesh.mesh import Mesh
 
 
-def test_a_template_is_registered_with_a_map(blob, tmp_path):
+def test_a_template_is_registered_with_a_map(run, blob, tmp_path):
     scan = Mesh(blob.vertices[:, [1, 2, 0]] * 2, blob.faces)
     files = [tmp_path / name for name in ("template.ply", "scan.ply", "map.npy", "out.ply")]
     labels = np.arange(len(blob.faces), dtype="<i4")
@@ -56,7 +55,7 @@ def test_landmarks_lead_the_map(blob, tmp_path, monkeypatch):
     assert np.array_equal(read_mesh(files[2]).faces, blob.faces)
 
 
-def test_outputs_never_replace_inputs_and_options_exclude_each_other(blob, tmp_path):
+def test_outputs_never_replace_inputs_and_options_exclude_each_other(run, blob, tmp_path):
     file = tmp_path / "a.ply"
     write_mesh(blob, file)
     before = file.read_bytes()
@@ -67,7 +66,7 @@ def test_outputs_never_replace_inputs_and_options_exclude_each_other(blob, tmp_p
     assert "not both" in done.stderr
 
 
-def test_the_frames_of_an_animation_are_written_to_a_folder(blob, tmp_path):
+def test_the_frames_of_an_animation_are_written_to_a_folder(run, blob, tmp_path):
     for number in (1, 2, 10):
         moved = Mesh(blob.vertices + np.array([0.01 * number, 0, 0]), blob.faces)
         write_mesh(moved, tmp_path / "in" / f"f{number}.off")
@@ -92,7 +91,7 @@ def test_the_frames_of_an_animation_are_written_to_a_folder(blob, tmp_path):
     ],
 )
 def test_frames_that_cannot_be_told_apart_are_refused(
-    blob, tmp_path, monkeypatch, scans, code, message
+    run, blob, tmp_path, monkeypatch, scans, code, message
 ):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "empty").mkdir()
