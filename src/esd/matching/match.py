@@ -51,7 +51,8 @@ _PART = "part"  # of `CANDIDATES`
 _COUNTERPART = 0.5  # probability of a counterpart beyond which a vertex is matched
 _AS_CONSISTENT = 0.02  # share by which maps between parts may be less consistent than others
 _SURE = 0.9  # expected accuracy beyond which a mirror image is not tried
-_CLEARLY = 1.0  # least difference of costs, log-odds, by which a mirror image is taken
+_CLEARLY = 5.0  # least difference of costs by which a mirror image is taken: left hands to right
+# ones have 8 or more, bodies and animals, which are nearly symmetric, up to 2.4
 _BACK_SIZES = (60, 160)  # of the map back, which only serves to judge the map
 
 
