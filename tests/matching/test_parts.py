@@ -92,6 +92,15 @@ def test_another_unit_of_length_is_found_unless_it_is_said_to_be_the_same():
     assert best_part_map(*shapes, model=model, scale="same").consistent < 0.3
 
 
+def test_the_size_of_a_whole_is_corrected_by_what_the_map_measures():
+    # between the sizes that are tried, 1 and 1.12
+    larger = Mesh(1.055 * cut().mesh.vertices, cut().mesh.faces)
+    shapes = features(larger), features(body("s10_p01")[0])
+    found = best_part_map(*shapes, model=load_model("partial"))
+    assert found.scale == pytest.approx(1.055, rel=0.02)
+    assert found.enlargement == pytest.approx(1, abs=0.03)
+
+
 def test_landmarks_help_a_map_between_parts():
     points = points_of_cut()
     there = body("s11_p02")[1]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -41,6 +42,7 @@ _RIDGE = 1e-3
 _REWEIGHTINGS = 6
 
 _NEAR = 0.04  # in √area of the whole, within which a way there and back returns
+_LEAST = 1e-6  # area of the whole, below which nothing is measured
 _STRETCH = 2.5  # times their length, beyond which the image of an edge is torn
 
 _RINGS = 8  # of edges around a vertex, over which what speaks for a counterpart is averaged
@@ -109,6 +111,8 @@ class PartMap:
         Whose nearest `forward` is.
     consistent
         See `consistent_share`.
+    enlargement
+        Area of the images of what is mapped consistently, over its area.
     """
 
     source: Part
@@ -117,6 +121,7 @@ class PartMap:
     backward: IntArray
     rows: Rows
     consistent: float
+    enlargement: float
 
     @property
     def scale(self) -> float:
@@ -166,8 +171,12 @@ def part_map(source: Part, target: Part, *, landmarks: IntArray | None = None) -
         return _refined(target, source, (rows[1], rows[0]))
 
     (forward, nearest_rows), (backward, _) = side_by_side(refined, (True, False))
-    share = consistent_share(source, target, forward, backward)
-    return PartMap(source, target, forward, backward, nearest_rows, share)
+    areas = _consistent_areas(source, target, forward, backward)
+    share = _share(source, target, areas)
+    here, there = np.maximum(areas, _LEAST)  # each of faces and of images
+    # the image is in the target for the source's faces, and in the source for the target's
+    enlargement = float(np.sqrt(here[1] / here[0] * there[0] / there[1]))
+    return PartMap(source, target, forward, backward, nearest_rows, share, enlargement)
 
 
 def _refined(source: Part, target: Part, embeddings: Rows) -> tuple[IntArray, Rows]:
@@ -223,14 +232,28 @@ def consistent_share(source: Part, target: Part, forward: IntArray, backward: In
     which keep their orientation; each counts as the smaller of its area and that of its image.
     The smaller of what that is on either shape.
     """
-    area = min(
+    return _share(source, target, _consistent_areas(source, target, forward, backward))
+
+
+_Areas: TypeAlias = tuple[tuple[float, float], tuple[float, float]]
+
+
+def _share(source: Part, target: Part, areas: _Areas) -> float:
+    # images of single faces are rough: a coarser target gives none for many, and more for others
+    return min(map(min, areas)) / min(source.spectrum.area, target.spectrum.area)
+
+
+def _consistent_areas(source: Part, target: Part, forward: IntArray, backward: IntArray) -> _Areas:
+    """Areas of the faces that count, and of their images, of the source and of the target."""
+    return (
         _consistent_area(source, target, forward, backward),
         _consistent_area(target, source, backward, forward),
     )
-    return area / min(source.spectrum.area, target.spectrum.area)
 
 
-def _consistent_area(here: Part, there: Part, index: IntArray, back: IntArray) -> float:
+def _consistent_area(
+    here: Part, there: Part, index: IntArray, back: IntArray
+) -> tuple[float, float]:
     faces = here.mesh.faces
     image = index[faces]
     matched = (image >= 0).all(axis=1)
@@ -244,8 +267,7 @@ def _consistent_area(here: Part, there: Part, index: IntArray, back: IntArray) -
     kept = np.einsum("fd,fd->f", face_normals(both[1]), normals) >= 0
     areas = [face_areas(each) for each in both]
     counted = near & smooth & kept
-    # images of single faces are rough: a coarser target gives none for many, and more for others
-    return float(min(areas[0][counted].sum(), areas[1][counted].sum()))
+    return float(areas[0][counted].sum()), float(areas[1][counted].sum())
 
 
 def _missed_by(each: Part, index: IntArray, back: IntArray) -> FloatArray:

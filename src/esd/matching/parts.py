@@ -30,10 +30,13 @@ MISFITS = 0.6
 """Consistent share below which a map between parts is not taken to be one."""
 
 _OPEN = 0.15  # length of all boundaries, in √area, beyond which something may be missing
-_FITS = 0.9  # consistent share beyond which nothing else is tried
+_FITS = 0.85  # consistent share beyond which nothing else is tried
 _OTHER_UNITS = 0.25  # the same below which `auto` gives up that a part and a whole have one unit
 _LARGER = (1.0, 1.25, 1.6, 2.0)  # area of the whole, times that of the larger part
 _OTHERS = (1.0, 0.8, 1.25, 0.64, 1.56)  # area of a part's own whole, times that of another
+_MEASURED = 3  # times at most that the size is corrected by what a map measures
+_EQUAL = 0.03  # relative difference of areas that is not corrected
+_AS_GOOD = 0.03  # consistent share that a map may lose by that
 _SHARES = (1.0, 0.8, 0.63, 0.5, 0.4, 0.3)  # of the whole, where units differ
 _PLAUSIBLE = 0.05, 1.5  # area of an open shape, times that of a whole one of the same unit
 
@@ -67,8 +70,9 @@ def best_part_map(
 
     Where one is whole and of the same unit, the whole of the other has from two thirds to one and
     a half times its area. Where both are open, the whole is larger than either, and several sizes
-    are tried; where units differ, several shares that an open shape could be of its whole. The
-    most consistent map is taken, see `esd.matching.partial.consistent_share`.
+    are tried; where units differ, several shares that an open shape could be of its whole. A size
+    is corrected by how much larger images are than what is mapped consistently. The most consistent
+    map is taken, see `esd.matching.partial.consistent_share`.
 
     Parameters
     ----------
@@ -89,18 +93,37 @@ def best_part_map(
     best: PartMap | None = None
     was_same = True
     known: dict[tuple[int, float], Part] = {}
+
+    def mapped(wholes: tuple[float, float]) -> PartMap:
+        for place, whole in enumerate(wholes):
+            if (place, whole) not in known:
+                known[place, whole] = part(meshes[place], whole, model=model, cache=cache)
+        return part_map(known[0, wholes[0]], known[1, wholes[1]], landmarks=landmarks)
+
+    def settled(found: PartMap, wholes: tuple[float, float]) -> PartMap:
+        """The map at the size that it measures itself, unless it is clearly less consistent."""
+        for _ in range(_MEASURED):
+            if abs(np.log(found.enlargement)) < _EQUAL or found.consistent < _OTHER_UNITS:
+                break
+            # images are larger where the source was taken to be too small a part of its whole
+            if opened[0] is not None:
+                wholes = wholes[0] / found.enlargement, wholes[1]
+            else:
+                wholes = wholes[0], wholes[1] * found.enlargement
+            other = mapped(wholes)
+            if other.consistent < found.consistent - _AS_GOOD:
+                break
+            found = other
+        return found
+
     for is_same, wholes in _wholes(areas, [mesh is not None for mesh in opened], scale):
         enough = _FITS if is_same == was_same else _OTHER_UNITS
         if best is not None and best.consistent >= enough:
             break
         was_same = is_same
-        for place, whole in enumerate(wholes):
-            if (place, whole) not in known:
-                known[place, whole] = part(meshes[place], whole, model=model, cache=cache)
-        parts = [known[each] for each in enumerate(wholes)]
-        found = part_map(parts[0], parts[1], landmarks=landmarks)
+        found = mapped(wholes)
         if best is None or found.consistent > best.consistent:
-            best = found
+            best = settled(found, wholes)
     return best
 
 
