@@ -88,7 +88,7 @@ class Teaching:
         Steps between two points of the curve, and between two checkpoints.
     """
 
-    steps: int = 600
+    steps: int = 1000
     warm_up: int = 100
     updates: int = 5
     own_share: float = 0.2

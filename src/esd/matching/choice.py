@@ -24,7 +24,7 @@ from esd.matching.candidates import (
 from esd.matching.extrinsic import Alignment, aligned, deformed
 from esd.matching.features import Features
 from esd.matching.judge import Evidence, accuracy, cost, evidence
-from esd.matching.landmarks import contradicted, landmark_candidates
+from esd.matching.landmarks import FEWEST, contradicted, landmark_candidates
 from esd.nearest import nearest
 from esd.parallel import side_by_side
 
@@ -32,6 +32,7 @@ CHAIN = "chain"
 """Name of the candidate that refines a map by way of other shapes."""
 
 _SURE = 0.97  # expected accuracy of a candidate beyond which shapes of other poses get no more
+_OF_A_LANDMARK = 0.8  # cost of leaving out one of four
 _OTHER_POSE = 0.07  # residual of the alignment beyond which shapes are not of one pose
 
 
@@ -112,11 +113,8 @@ def chosen(
             found += _judged([candidate], shapes, descriptors)
     doubtful: IntArray = np.zeros(0, dtype=np.int64)
     if landmarks is not None:
-        doubtful = contradicted(shapes[0], shapes[1], landmarks, descriptors)
-        sound = np.delete(landmarks, doubtful, axis=0)
-        found += _judged(
-            landmark_candidates(shapes[0], shapes[1], sound, rows, names), shapes, descriptors
-        )
+        by_landmarks, doubtful = _by_landmarks(shapes, landmarks, rows, names, descriptors)
+        found += by_landmarks
     if any(name.startswith("extrinsic") for name in names):
         sure = _is_sure(found)
         alignment = _aligned(shapes, [candidate for candidate, _ in found], search=not sure)
@@ -161,6 +159,30 @@ def chained(source: Features, target: Features, by_way: IntArray) -> Choice:
     ((_, found),) = _judged([candidate], shapes, descriptors)
     nothing: IntArray = np.zeros(0, dtype=np.int64)
     return Choice(candidate, found, {CHAIN: cost(found)}, nothing)
+
+
+def _by_landmarks(
+    shapes: Sequence[Sampled],
+    landmarks: IntArray,
+    rows: dict[str, Rows],
+    names: Sequence[str],
+    descriptors: Rows,
+) -> tuple[list[tuple[Candidate, Evidence]], IntArray]:
+    """Candidates by the landmarks, and the indices of those left out, in ascending order.
+
+    Of few landmarks, a right one may seem contradicted: what is left out is what makes the map
+    clearly better, and the more clearly, the fewer there are.
+    """
+    order = contradicted(shapes[0], shapes[1], landmarks, descriptors)
+    ways = []
+    for count in range(len(order), -1, -1):
+        sound = np.delete(landmarks, order[:count], axis=0)
+        made = landmark_candidates(shapes[0], shapes[1], sound, rows, names)
+        found = _judged(made, shapes, descriptors)
+        price = count * _OF_A_LANDMARK / max(len(landmarks) - FEWEST, 1)
+        least = min((cost(each) for _, each in found), default=0.0)
+        ways.append((least + price, found, np.sort(order[:count])))
+    return min(ways, key=lambda way: way[0])[1:]
 
 
 def _is_sure(found: Sequence[tuple[Candidate, Evidence]]) -> bool:

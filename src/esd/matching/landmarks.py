@@ -182,7 +182,7 @@ def landmark_candidates(
 def contradicted(
     source: Sampled, target: Sampled, landmarks: IntArray, descriptors: Rows
 ) -> IntArray:
-    """Which landmarks, as indices, the others contradict.
+    """Which landmarks, as indices, the others contradict, the farthest astray first.
 
     Each is left out of a map in turn (many in groups), and is compared with where that map sends
     it. The one that is farthest astray is dropped before the others are asked again, since a wrong
@@ -190,13 +190,15 @@ def contradicted(
     contradicted.
     """
     left = np.arange(len(landmarks))
+    dropped: list[int] = []
     while len(left) >= _FEWEST_TO_DOUBT:
         miss = _misses(source, target, landmarks[left], descriptors)
         worst = int(miss.argmax())
         if miss[worst] <= max(_ASTRAY, _TIMES * float(np.median(miss))):
             break
+        dropped.append(int(left[worst]))
         left = np.delete(left, worst)
-    return np.setdiff1d(np.arange(len(landmarks)), left)
+    return np.array(dropped, dtype=np.int64)
 
 
 def _misses(source: Sampled, target: Sampled, landmarks: IntArray, descriptors: Rows) -> FloatArray:
