@@ -263,6 +263,8 @@ def test_a_failing_job_reports_its_line(app):
     assert job["state"] == "failed"
     assert job["error"]
     assert "\n" not in job["error"]
+    assert "1-a.off" in job["error"]
+    assert state["folder"] not in job["error"]
     assert state["shapes"] == []
 
 

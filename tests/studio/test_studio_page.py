@@ -223,6 +223,17 @@ def test_a_job_is_cancelled(tab, tmp_path):
     tab.wait_for_map()
 
 
+def test_both_shapes_are_shaded_alike(tab, tmp_path):
+    for k, name in enumerate(("a.off", "b.off")):  # added one by one: they are not matched
+        write_mesh(bent(), tmp_path / name)
+        tab.add(tmp_path / name)
+        tab.until(lambda k=k: len([s for s in tab.state()["shapes"] if s["vertices"]]) == k + 1)
+    tab.page.wait_for_function("() => document.documentElement.dataset.shown?.includes(',')")
+    below = tab.picture()[60:]  # the names
+    half = below.shape[1] // 2
+    assert np.abs(below[:, :half] - below[:, half : 2 * half]).mean() < 0.5
+
+
 def test_findings_are_shown_where_they_are_and_repaired_on_request(tab, tmp_path):
     mesh = bent()
     faces = np.concatenate([mesh.faces[:-40], mesh.faces[:3, [0, 2, 1]]])  # a hole; doubled faces
@@ -232,6 +243,11 @@ def test_findings_are_shown_where_they_are_and_repaired_on_request(tab, tmp_path
     tab.page.click("#shapes summary")
     tab.page.wait_for_selector("html[data-shown^=shapes]")
     before = tab.picture()
+    for name in ("c.off", "d.off"):  # two others, which are shown
+        write_mesh(mesh, tmp_path / name)
+    tab.add(tmp_path / "c.off", tmp_path / "d.off")
+    tab.wait_for_map()
+    tab.until_idle()
     show = tab.page.locator("#shapes button[aria-label^='Show where']")
     assert show.count() >= 1
     show.first.click()
@@ -239,6 +255,9 @@ def test_findings_are_shown_where_they_are_and_repaired_on_request(tab, tmp_path
     assert np.abs(tab.picture() - before).mean() > 1
     red = tab.picture()
     assert ((red[..., 0] > 150) & (red[..., 1] < 90)).any()
+    for shape in tab.state()["shapes"][1:]:
+        tab.ask("DELETE", f"shapes/{shape['number']}")
+    tab.until(lambda: tab.page.locator("#shapes > li").count() == 1)
     tab.page.click("#shapes button[aria-label^=Repair]")
     tab.until(lambda: tab.page.locator("#shapes > li").count() == 2)
     tab.until_idle()

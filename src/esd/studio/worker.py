@@ -8,7 +8,7 @@ import signal
 import struct
 from collections import OrderedDict
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -151,7 +151,16 @@ def work(tasks: Connection, first_model: str) -> None:
             line = line if known else f"{type(error).__name__}: {line}"
             if isinstance(error, MemoryError):
                 line = "There is not enough memory for this."
-            tasks.send(("failed", line))
+            tasks.send(("failed", _without_folders(line, task)))
+
+
+def _without_folders(line: str, task: Task) -> str:
+    """A line in which files of a task are named without the folder of the project."""
+    for part in fields(task):
+        value = getattr(task, part.name)
+        if isinstance(value, Path):
+            line = line.replace(str(value), value.name)
+    return line
 
 
 def done(task: Task, memory: _Memory, report: Reporter) -> dict[str, Any]:

@@ -9,7 +9,7 @@ export function drawGallery(list, { maps, shapes }, shown, open) {
       const button = Object.assign(document.createElement("button"), { type: "button" });
       const verdict = document.createElement("b");
       verdict.textContent = map.verdict ?? "not judged";
-      const share = map.expected_accuracy == null ? "" : ` ${Math.round(100 * map.expected_accuracy)} %`;
+      const share = map.expected_accuracy == null ? "" : ` ${Math.round(100 * map.expected_accuracy)}\u00a0%`;
       button.dataset.verdict = map.verdict ?? "";
       const error = map.mean_error == null ? "" : `, error ${(100 * map.mean_error).toFixed(1)} %`;
       button.append(`${nameOf(map.source)} → ${nameOf(map.target)} `, verdict, share, error);

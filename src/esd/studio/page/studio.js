@@ -146,7 +146,7 @@ function draw() {
   element("gallery").hidden = state.shapes.length < 3;
   redrawn("maps", () => drawGallery(element("maps"), state, pair, choose));
   drawTransfer();
-  showPair();
+  return showPair();
 }
 
 function redrawn(id, action) {
@@ -203,11 +203,12 @@ function drawnFindings(shape) {
     const text = made("span", finding.what, { title: `${finding.effect} Remedy: ${finding.remedy}.` });
     text.dataset.severity = finding.severity;
     item.append(text);
-    const side = ["source", "target"].find((each) => pair[each] === shape.number);
-    if (finding.marked.length && side && viewer) {
+    if (finding.marked.length && viewer) {
       const where = made("button", "Show", { type: "button" });
       where.setAttribute("aria-label", `Show where: ${finding.what}`);
-      where.addEventListener("click", () => {
+      where.addEventListener("click", async () => {
+        if (![pair.source, pair.target].includes(shape.number)) await choose(shape.number, pair.target);
+        const side = pair.source === shape.number ? "source" : "target";
         viewer.mark({ [side]: finding.marked });
         viewer.flyTo(side, finding.marked[0]);
       });
@@ -247,7 +248,7 @@ function drawJobs() {
 
 function choose(source, target) {
   pair = { source, target };
-  draw();
+  return draw();
 }
 
 const match = guarded(async (withLandmarks, { source, target } = pair) => {

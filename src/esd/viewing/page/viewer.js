@@ -278,8 +278,10 @@ export function createViewer(stage, on = {}) {
     renderer.setClearColor(background, opacity);
     renderer.clear();
     renderer.setScissorTest(true);
-    for (const { box, scene, light } of [source, target]) {
-      if (!box?.width) continue;
+    for (const shape of [source, target]) {
+      const { box, scene, light } = shape;
+      // drawn without normals once, a shape would be shaded flat ever after
+      if (!box?.width || !shapes.count(shape)) continue;
       const bottom = stage.clientHeight - box.y - box.height;
       renderer.setViewport(box.x, bottom, box.width, box.height);
       renderer.setScissor(box.x, bottom, box.width, box.height);
