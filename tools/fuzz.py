@@ -140,7 +140,7 @@ def _in_a_child(read: Callable[[Path], object], whole: bytes, path: Path) -> Non
     ours, theirs = os.pipe()
     child = os.fork()
     if child == 0:
-        signal.alarm(20)  # in some damaged files the library goes round in circles
+        signal.alarm(8)  # in some damaged files the library goes round in circles
         try:
             read(path)
         except InputError:
