@@ -227,7 +227,9 @@ def test_tables_are_read_as_spreadsheets_write_them():
         ("x\n", ["x"], None),
         ("a,b\n1,2\n", ["1,2"], ","),
         ("1,5;2\n3;4\n", ["1.5;2", "3;4"], ";"),
-        ("# 3\n1\n", ["# 3", "1"], None),
+        ("# 3, 4\n1 2\n", ["# 3, 4", "1 2"], None),
+        ("# by x\na;b\n1,5;2\n", ["# by x", "1.5;2"], ";"),
+        ("#\n", ["#"], None),
         ("nan\n1\n", ["nan", "1"], None),
     ],
 )

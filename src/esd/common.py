@@ -131,15 +131,16 @@ def whole_number(cell: str | None) -> int:
 def number_lines(text: str) -> tuple[list[str], str | None]:
     """Lines of numbers in a text, and the sign between numbers, None for spaces.
 
-    A first line of words, the names of columns, is left out. Where semicolons are between numbers,
-    commas may be within, as spreadsheets write them: they become points.
+    A first line of words, the names of columns, is left out; comments (`#`) stay. Where semicolons
+    are between numbers, commas may be within, as spreadsheets write them: they become points.
     """
     lines = [line for line in text.splitlines() if line.strip()]
-    head = lines[0] if lines else ""
+    first = next((i for i, line in enumerate(lines) if not line.lstrip().startswith("#")), None)
+    head = "" if first is None else lines[first]
     between = next((sign for sign in ";," if sign in head), None)
     words = head.replace(between or " ", " ").split()
-    if len(lines) > 1 and not head.lstrip().startswith("#") and not any(map(_is_number, words)):
-        del lines[0]
+    if first is not None and first + 1 < len(lines) and not any(map(_is_number, words)):
+        del lines[first]
     if between == ";":
         lines = [line.replace(",", ".") for line in lines]
     return lines, between
