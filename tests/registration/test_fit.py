@@ -94,6 +94,9 @@ def test_a_start_takes_the_place_of_a_map(template):
     assert quality(template, scan, found).relative_distance < 0.002
     with pytest.raises(InputError, match="No vertex of the template has a match"):
         fit(template, scan, none, np.zeros(len(none)))
+    few = np.where(np.arange(len(none)) < 9, np.arange(len(none)) % 2, -1)
+    with pytest.raises(InputError, match="leads to 2 vertices of the scan; 3 or more are needed"):
+        fit(template, scan, few, np.ones(len(none)))
 
 
 def test_a_face_is_inverted_where_a_vertex_is_pushed_across_its_neighbours():

@@ -20,6 +20,7 @@ _MAP_LENGTHS = (0.3, 0.2, 0.12, 0.08, 0.05, 0.05, 0.05, 0.05)
 _SURFACE_LENGTHS = (0.05, 0.05, 0.04, 0.04, 0.03, 0.03, 0.02, 0.02, 0.015, 0.015, 0.01, 0.01)
 """In √area: lengths over which the deformation is stiff, in the rounds of the two stages."""
 
+_FEWEST_MATCHES = 3  # different vertices of the scan by which the template is placed
 _FINISHING = 2  # rounds after inverted faces were turned back, which draw them to the surface again
 _FINISHING_LENGTH = 0.01
 
@@ -89,7 +90,7 @@ def fit(
     Raises
     ------
     InputError
-        If nothing is matched and there is no start.
+        If fewer than three vertices of the scan are matched and there is no start.
 
     References
     ----------
@@ -99,6 +100,12 @@ def fit(
     weight = np.where(np.isnan(confidence), 1.0, confidence) * (target_index >= 0)
     if start is None and not weight.any():
         raise InputError("No vertex of the template has a match on the scan.")
+    images = len(np.unique(target_index[weight > 0]))
+    if start is None and images < _FEWEST_MATCHES:
+        raise InputError(
+            f"The map leads to {images} vertices of the scan; {_FEWEST_MATCHES} or more are "
+            "needed to place the template."
+        )
     image = scan.vertices[target_index]
     body = elastic(template)
     parts = claims(body)
