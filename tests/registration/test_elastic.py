@@ -23,9 +23,9 @@ def test_three_places_of_a_moved_template_carry_all_of_it_along():
     weight[:: len(moved) // 60] = 1.0
     body = elastic(rest)
     image = np.where(weight[:, None] > 0, moved, 0.0)
-    found = body.laid(image, weight)
+    found = body.interpolated(image, weight)
     for _ in range(10):
-        found = body.drawn(found, Pull(image, weight), 0.1)
+        found = body.deformed(found, Pull(image, weight), 0.1)
     # the energy of a rigid motion is zero; the steps converge linearly
     assert np.abs(found - moved).max() < 0.02 * body.unit
 
@@ -64,5 +64,5 @@ def test_loose_pieces_move_with_the_nearest_piece():
     body = elastic(both)
     weight = np.append(np.ones(count), np.zeros(count))
     shifted = both.vertices + np.array([0.0, 3.0, 0.0])
-    found = body.drawn(body.laid(shifted, weight), Pull(shifted, weight), 0.05)
+    found = body.deformed(body.interpolated(shifted, weight), Pull(shifted, weight), 0.05)
     assert found == pytest.approx(shifted, abs=0.02 * body.unit)

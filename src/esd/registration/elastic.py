@@ -79,7 +79,7 @@ class Elastic:
     laplacian: sparse.csr_array
     gather: sparse.csr_array
 
-    def drawn(
+    def deformed(
         self, vertices: npt.NDArray[np.float64], pull: Pull, length: float
     ) -> npt.NDArray[np.float64]:
         """Vertices, (n, 3), that minimise pull and stiffness, from some to start with.
@@ -117,7 +117,7 @@ class Elastic:
             vertices = solve(right + length**2 * self._divergence(rotations))
         return vertices
 
-    def laid(
+    def interpolated(
         self, image: npt.NDArray[np.float64], weight: npt.NDArray[np.float64]
     ) -> npt.NDArray[np.float64]:
         """Positions, (n, 3), by images of some vertices, as rigid as their neighbourhood elsewhere.

@@ -123,14 +123,14 @@ def fit(
         gap = ((vertices - image) ** 2).sum(axis=1)
         return np.asarray(weight / (1 + gap / (trust * unit) ** 2) ** 2)
 
-    vertices = body.laid(image, weight) if start is None else start
+    vertices = body.interpolated(image, weight) if start is None else start
     for share, length in _rounds(_MAP_LENGTHS if start is None else ()):
-        vertices = body.drawn(
+        vertices = body.deformed(
             vertices, Pull(image, matched(vertices, _between(_TRUST, share))), length
         )
     surface = _surface(scan, _ORIENTED * unit)
 
-    def drawn_to_surface(
+    def deformed_to_surface(
         vertices: npt.NDArray[np.float64], share: float, length: float
     ) -> tuple[npt.NDArray[np.float64], BoolArray]:
         """The vertices after a round, and which of them have a nearest point that is believed."""
@@ -147,17 +147,17 @@ def fit(
         position /= np.maximum(total, np.finfo(float).tiny)[:, None]
         height = (near.points * near.normals).sum(axis=1)
         pull = Pull(position, total, near.normals, height, along)
-        return body.drawn(vertices, pull, length), accepted
+        return body.deformed(vertices, pull, length), accepted
 
     for share, length in _rounds(_SURFACE_LENGTHS):
-        vertices, accepted = drawn_to_surface(vertices, share, length)
+        vertices, accepted = deformed_to_surface(vertices, share, length)
     turned = without_inverted(body, vertices, template.faces)
     at_rest = is_inverted(template)
     for _ in range(_FINISHING):
         is_left = is_inverted(Mesh(turned, template.faces)) & ~at_rest
         if turned is vertices or is_left.any():
             break
-        vertices, accepted = drawn_to_surface(turned, 1.0, _FINISHING_LENGTH)
+        vertices, accepted = deformed_to_surface(turned, 1.0, _FINISHING_LENGTH)
         turned = without_inverted(body, vertices, template.faces)
     return Fit(turned, accepted, scale)
 
