@@ -229,9 +229,13 @@ def test_both_shapes_are_shaded_alike(tab, tmp_path):
         tab.add(tmp_path / name)
         tab.until(lambda k=k: len([s for s in tab.state()["shapes"] if s["vertices"]]) == k + 1)
     tab.page.wait_for_function("() => document.documentElement.dataset.shown?.includes(',')")
-    below = tab.picture()[60:]  # the names
-    half = below.shape[1] // 2
-    assert np.abs(below[:, :half] - below[:, half : 2 * half]).mean() < 0.5
+
+    def difference() -> float:
+        below = tab.picture()[60:]  # the names
+        half = below.shape[1] // 2
+        return np.abs(below[:, :half] - below[:, half : 2 * half]).mean()
+
+    tab.until(lambda: difference() < 0.5, seconds=30)
 
 
 def test_findings_are_shown_where_they_are_and_repaired_on_request(tab, tmp_path):

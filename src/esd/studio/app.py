@@ -23,7 +23,7 @@ from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, Request
-from starlette.responses import FileResponse, HTMLResponse, JSONResponse, Response
+from starlette.responses import HTMLResponse, JSONResponse, Response
 from starlette.routing import Route
 from starlette.types import ASGIApp
 
@@ -246,7 +246,7 @@ class Studio:
 
     async def get_shape(self, request: Request) -> Response:
         """What the viewer shows of a shape."""
-        return _file(self.project.view_path(request.path_params["number"]))
+        return await _file(self.project.view_path(request.path_params["number"]))
 
     async def set_landmarks(self, request: Request) -> Response:
         """Replace the landmarks of a shape."""
@@ -420,7 +420,7 @@ class Studio:
     async def get_map(self, request: Request) -> Response:
         """What the viewer shows of a map."""
         source, target = self._pair(request)
-        return _file(self.project.view_path(source.number, target.number))
+        return await _file(self.project.view_path(source.number, target.number))
 
     async def export(self, request: Request) -> Response:
         """A map, the source in the shape of the target, a page, or the target with the texture."""
@@ -632,10 +632,12 @@ def _suffix(name: str, known: Any) -> str:
     raise InputError(f"Expected a name that ends in one of {', '.join(known)}.")
 
 
-def _file(path: Path) -> Response:
-    if not path.is_file():
-        raise HTTPException(404, "There is nothing to show yet.")
-    return FileResponse(path, media_type="application/octet-stream")
+async def _file(path: Path) -> Response:
+    try:  # whole, since its shape may be removed while it is sent
+        content = await run_in_threadpool(path.read_bytes)
+    except FileNotFoundError as error:
+        raise HTTPException(404, "There is nothing to show yet.") from error
+    return Response(content, media_type="application/octet-stream")
 
 
 async def _body(request: Request, limit: int) -> bytes:
