@@ -52,7 +52,7 @@ _OFFSETS = np.array([0.01, 0.05, 0.01, 0.01])  # of the logarithms
 # constant and weights of `_evidence`: for having a counterpart, and for being matched rightly
 _COUNTERPART = (1.18, -1.52, -1.56, 0.84, 0.81, 0.02)
 _RIGHT = (0.78, -1.53, -1.8, 1.13, 0.26, -0.6)
-_OF_SHARE = 1.57  # weight of the logarithm of the consistent share, for being matched rightly
+_OF_SHARE = 3.5  # weight of the logarithm of the consistent share, for being matched rightly
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -30,7 +30,7 @@ MISFITS = 0.6
 """Consistent share below which a map between parts is not taken to be one."""
 
 _OPEN = 0.15  # length of all boundaries, in √area, beyond which something may be missing
-_FITS = 0.85  # consistent share beyond which nothing else is tried
+_FITS = 0.9  # consistent share beyond which nothing else is tried
 _OTHER_UNITS = 0.25  # the same below which `auto` gives up that a part and a whole have one unit
 _LARGER = (1.0, 1.25, 1.6, 2.0)  # area of the whole, times that of the larger part
 _OTHERS = (1.0, 0.8, 1.25, 0.64, 1.56)  # area of a part's own whole, times that of another
