@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from esd.matching.candidates import extrinsic_candidate, pair_descriptors, sampled
+from esd.matching.candidates import Candidate, extrinsic_candidate, pair_descriptors, sampled
 from esd.matching.judge import accuracy, cost, evidence
 
 
@@ -20,6 +20,20 @@ def test_evidence_is_against_a_map_to_the_wrong_place(pair):
     assert accuracy(found[0]) > accuracy(found[1])
     assert found[0].round_trip < found[1].round_trip
     assert found[0].orientation > 0.9
+
+
+def test_of_a_map_that_does_not_return_nothing_is_expected(pair):
+    shapes = tuple(sampled(features) for features in pair)
+    generator = np.random.default_rng(0)
+    # rows of random numbers: the nearest of those of the other shape are anywhere
+    random = Candidate(
+        "embedding",
+        *(tuple(generator.random((len(s.points), 3)) for s in shapes) for _ in range(2)),
+        None,
+    )
+    found = evidence(*shapes, random, pair_descriptors(*shapes))
+    assert found.lost > 0.8
+    assert accuracy(found) <= 1 - found.lost
 
 
 def test_a_reflected_map_turns_the_surface_over(pair):

@@ -97,8 +97,8 @@ def test_the_size_of_a_whole_is_corrected_by_what_the_map_measures():
     larger = Mesh(1.055 * cut().mesh.vertices, cut().mesh.faces)
     shapes = features(larger), features(body("s10_p01")[0])
     found = best_part_map(*shapes, model=load_model("partial"))
-    assert found.scale == pytest.approx(1.055, rel=0.02)
-    assert found.enlargement == pytest.approx(1, abs=0.03)
+    assert found.scale == pytest.approx(1.055, rel=0.03)
+    assert found.enlargement == pytest.approx(1, abs=0.04)
 
 
 def test_landmarks_help_a_map_between_parts():

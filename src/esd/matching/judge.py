@@ -14,6 +14,7 @@ from esd.nearest import nearest
 _FUNCTIONS = 25  # eigenfunctions of the functional map that is looked at
 _POINTS = 300  # between which distances are compared
 _LOST = 0.3  # in √area, at which distances are cut off
+_MOSTLY = 0.5  # share of lost ways beyond which a map is beyond what was seen
 _FAR = 0.08  # in √area, beyond which a way there and back is lost
 
 
@@ -206,7 +207,9 @@ def accuracy(found: Evidence) -> float:
     """Expected share of matches within 5 % of the size of the truth, by a logistic regression.
 
     Fitted to candidates for pairs of people, animals, heads, skulls, cut and noisy people, and
-    pairs of different classes, of which nothing is right.
+    pairs of different classes, of which nothing is right. Where most ways there and back are lost,
+    which none of these had, it is no more than the share of the others.
     """
     logit = float(found.vector() @ np.array(_ACCURACY)) + _ACCURACY_CONSTANT
-    return float(1 / (1 + np.exp(-logit)))
+    expected = float(1 / (1 + np.exp(-logit)))
+    return min(expected, 1 - found.lost) if found.lost > _MOSTLY else expected
