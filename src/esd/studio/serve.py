@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import secrets
 import shutil
+import signal
 import socket
 import tempfile
+import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -81,7 +83,6 @@ def serve(
         if len(numbers) == 2:
             studio.match(*numbers, landmarks=False)
         listener.listen()  # a browser that is quicker than the server waits
-        on_start(f"http://{_ADDRESS}:{port}/{token}/")
         config = uvicorn.Config(
             app,
             lifespan="off",
@@ -90,6 +91,15 @@ def serve(
             server_header=False,
             timeout_graceful_shutdown=1,
         )
-        uvicorn.Server(config).run(sockets=[listener])
+        server = uvicorn.Server(config)
+
+        def end(*_: object) -> None:
+            server.should_exit = True
+
+        if threading.current_thread() is threading.main_thread():
+            # also for a Ctrl-C while the server starts, when it does not listen to signals yet
+            signal.signal(signal.SIGINT, end)
+        on_start(f"http://{_ADDRESS}:{port}/{token}/")
+        server.run(sockets=[listener])
     finally:
         studio.jobs.close()
