@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from esd.common import InputError
+from esd.datasets.bodies import bodies
 from esd.matching.landmarks import (
     check_landmarks,
     landmark_rows,
@@ -101,3 +102,14 @@ def test_a_mirror_image_is_matched_by_request(blob):
     np.testing.assert_array_equal(found.target_index, np.arange(len(blob.vertices)))
     assert not match(blob, mirrored, mirror="no").judgement.is_mirrored
     assert not match(blob, blob).judgement.is_mirrored
+
+
+def test_shapes_of_two_like_sides_are_not_mirrored(monkeypatch):
+    shapes = {shape.name: shape.mesh for shape in bodies().shapes}
+    body, other = shapes["s10_p00"](), shapes["s10_p02"]()
+    # as if mirror images always fitted clearly better
+    monkeypatch.setattr("esd.matching.match._SURE", 1.1)
+    monkeypatch.setattr("esd.matching.match._CLEARLY", -1e6)
+    assert not match(body, other).judgement.is_mirrored
+    monkeypatch.setattr("esd.matching.match._SYMMETRIC", 1.1)
+    assert match(body, other).judgement.is_mirrored

@@ -51,8 +51,9 @@ _PART = "part"  # of `CANDIDATES`
 _COUNTERPART = 0.5  # probability of a counterpart beyond which a vertex is matched
 _AS_CONSISTENT = 0.02  # share by which maps between parts may be less consistent than others
 _SURE = 0.9  # expected accuracy beyond which a mirror image is not tried
-_CLEARLY = 5.0  # least difference of costs by which a mirror image is taken: left hands to right
-# ones have 8 or more, bodies and animals, which are nearly symmetric, up to 2.4
+_CLEARLY = 5.0  # least difference of costs by which a mirror image is taken; hands have 8 or more
+_SYMMETRIC = 0.85  # expected accuracy of the map from the mirror image of a shape to itself, beyond
+# which the shape has two like sides; people, animals and skulls have 0.9 or more, hands 0.7
 _BACK_SIZES = (60, 160)  # of the map back, which only serves to judge the map
 
 
@@ -96,7 +97,8 @@ def match(
         off. Those that the others contradict are logged and left out.
     mirror
         Whether the source is mirrored before it is matched: left hands to right ones. With `auto`,
-        it is where the mirror image fits clearly better, see `Judgement.is_mirrored`.
+        it is where the mirror image fits clearly better and the source has no two like sides, as
+        people and animals have, see `Judgement.is_mirrored`.
     scale
         Whether both shapes have one unit of length, where parts of them are missing: `same`, or
         `free` if that is not known; `auto` takes it to be so unless the map fits badly.
@@ -382,9 +384,13 @@ def _mirror_chosen(
             return plain, None
     image = reflected(source, model=model)
     other = chosen(image, target, names=names, landmarks=landmarks)
-    if plain is not None and min(other.costs.values()) > min(plain.costs.values()) - _CLEARLY:
-        return plain, None
-    return other, image
+    if plain is None:
+        return other, image
+    is_better = min(other.costs.values()) <= min(plain.costs.values()) - _CLEARLY
+    # the mirror image of a shape of two like sides is the shape with left and right exchanged
+    if is_better and accuracy(chosen(image, source).evidence) < _SYMMETRIC:
+        return other, image
+    return plain, None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
