@@ -53,7 +53,7 @@ _AS_CONSISTENT = 0.02  # share by which maps between parts may be less consisten
 _SURE = 0.9  # expected accuracy beyond which a mirror image is not tried
 _CLEARLY = 5.0  # least difference of costs by which a mirror image is taken; hands have 8 or more
 _SYMMETRIC = 0.85  # expected accuracy of the map from the mirror image of a shape to itself, beyond
-# which the shape has two like sides; people, animals and skulls have 0.9 or more, hands 0.7
+# which it has two like sides; people, skulls and most animals have 0.9 or more, hands 0.7
 _BACK_SIZES = (60, 160)  # of the map back, which only serves to judge the map
 
 
@@ -387,10 +387,17 @@ def _mirror_chosen(
     if plain is None:
         return other, image
     is_better = min(other.costs.values()) <= min(plain.costs.values()) - _CLEARLY
-    # the mirror image of a shape of two like sides is the shape with left and right exchanged
-    if is_better and accuracy(chosen(image, source).evidence) < _SYMMETRIC:
-        return other, image
-    return plain, None
+    if not is_better or _has_like_sides(image, source):
+        return plain, None
+    # poses hide like sides: one of the shapes may show what the other does not
+    if _has_like_sides(reflected(target, model=model), target):
+        return plain, None
+    return other, image
+
+
+def _has_like_sides(image: Features, shape: Features) -> bool:
+    """Whether the mirror image of a shape is the shape with left and right exchanged."""
+    return accuracy(chosen(image, shape).evidence) >= _SYMMETRIC
 
 
 @dataclass(frozen=True, slots=True, eq=False)
