@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +12,7 @@ from torch import nn
 
 from esd.common import FloatArray
 from esd.learning.diffusion import GRADIENT_UNIT
+from esd.learning.network import sparse_product
 from esd.spectral.laplacian import SparseMatrix
 
 _SHORTEST, _LONGEST = 1e-3, 0.3  # times of diffusion at first, in units of area
@@ -64,20 +64,6 @@ def surface_tensors(
     return SurfaceTensors(single(eigenvalues), single(eigenvectors), single(mass), operator)
 
 
-class _Gradients(torch.autograd.Function):  # type: ignore[misc] # torch is untyped here
-    """Gradients (2n, c) of values (n, c), as `SurfaceTensors.gradient` has them."""
-
-    @staticmethod
-    def forward(context: Any, values: torch.Tensor, operator: SparseMatrix) -> torch.Tensor:
-        context.operator = operator
-        return torch.from_numpy(operator @ values.detach().cpu().numpy()).to(values.device)
-
-    @staticmethod
-    def backward(context: Any, slope: torch.Tensor) -> tuple[torch.Tensor, None]:
-        moved = torch.from_numpy(context.operator.T @ slope.cpu().numpy())
-        return moved.to(slope.device), None
-
-
 class _Block(nn.Module):  # type: ignore[misc]
     """A block of `esd.learning.diffusion.DiffusionNetwork`, whose names its parameters have."""
 
@@ -101,7 +87,7 @@ class _Block(nn.Module):  # type: ignore[misc]
         decay = torch.exp(-surface.eigenvalues[:, None] * self.time.exp())
         diffused = vectors @ (decay * spectral)
         # complex products by their parts: gradients (x, y), and the same turned
-        x, y = (_Gradients.apply(diffused, surface.gradient) * GRADIENT_UNIT).chunk(2)
+        x, y = (sparse_product(surface.gradient, diffused) * GRADIENT_UNIT).chunk(2)
         turned_x = x @ self.real.T - y @ self.imaginary.T
         turned_y = y @ self.real.T + x @ self.imaginary.T
         angles = torch.tanh(x * turned_x + y * turned_y)

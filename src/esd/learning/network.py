@@ -33,8 +33,8 @@ class Convolution(nn.Module):  # type: ignore[misc] # torch is untyped here
         return products.reshape(-1, self.turns, outputs).amax(dim=1) + self.bias
 
 
-class _Patched(torch.autograd.Function):  # type: ignore[misc]
-    """Values (n, inputs) in the bins of patches, by rows of a patch operator."""
+class _SparseProduct(torch.autograd.Function):  # type: ignore[misc]
+    """See `sparse_product`."""
 
     @staticmethod
     def forward(context: Any, values: torch.Tensor, operator: SparseMatrix) -> torch.Tensor:
@@ -45,6 +45,11 @@ class _Patched(torch.autograd.Function):  # type: ignore[misc]
     def backward(context: Any, gradient: torch.Tensor) -> tuple[torch.Tensor, None]:
         moved = torch.from_numpy(context.operator.T @ gradient.cpu().numpy())
         return moved.to(gradient.device), None
+
+
+def sparse_product(operator: SparseMatrix, values: torch.Tensor) -> torch.Tensor:
+    """A constant matrix of scipy, (m, n), times values (n, c), which have a gradient."""
+    return _SparseProduct.apply(values, operator)
 
 
 def convolved(
@@ -65,7 +70,7 @@ def convolved(
         if isinstance(layer, Convolution):
             if i == last:  # what lies elsewhere is needed no more
                 operator = operator[(vertices[:, None] * bins + np.arange(bins)).ravel()]
-            values = _Patched.apply(values, operator)
+            values = sparse_product(operator, values)
         values = layer(values)
     return values
 
