@@ -9,6 +9,15 @@ export function bytesOf(base64) {
   return bytes.buffer;
 }
 
+// What `esd.viewing.page.page_with` put into the page; the text of the arrays is dropped.
+export function embedded() {
+  const meta = JSON.parse(document.getElementById("meta").textContent);
+  const text = document.getElementById("arrays");
+  const arrays = unpack(meta.arrays, bytesOf(text.textContent));
+  text.remove();
+  return { meta, arrays };
+}
+
 // `layout` holds name, kind, first byte and length of each array; the first byte of all is `start`.
 export function unpack(layout, buffer, start = 0) {
   return Object.fromEntries(
