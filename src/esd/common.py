@@ -25,6 +25,9 @@ BoolArray: TypeAlias = npt.NDArray[np.bool_]
 DISTRIBUTION = "embedded-spectral-descriptors"
 """What pip installs; `esd` on PyPI is another package."""
 
+UNFINISHED = ".esd-"
+"""What begins names of files and folders that are being written, or were left by a kill."""
+
 _EXCHANGE = 2  # RENAME_EXCHANGE of renameat2(2)
 _HERE = -100  # AT_FDCWD
 _OBJECTS = "it holds Python objects, which are not loaded, since they can run code"
@@ -200,7 +203,7 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
         # of the file that a link names, so that the link is kept
         place = Path(os.path.realpath(path))
         place.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=place.parent, prefix=".esd-", suffix=path.suffix)
+        handle, name = tempfile.mkstemp(dir=place.parent, prefix=UNFINISHED, suffix=path.suffix)
     except OSError as error:
         raise InputError(f"'{path}' cannot be written: {error.strerror}.") from error
     os.close(handle)
@@ -235,7 +238,7 @@ def whole_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
         raise InputError(f"'{path}' is a file; give the name of a folder to write.")
     try:
         place.parent.mkdir(parents=True, exist_ok=True)
-        temporary = Path(tempfile.mkdtemp(dir=place.parent, prefix=".esd-"))
+        temporary = Path(tempfile.mkdtemp(dir=place.parent, prefix=UNFINISHED))
     except OSError as error:
         raise InputError(f"'{path}' cannot be written: {error.strerror}.") from error
     try:
@@ -245,7 +248,7 @@ def whole_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
             temporary.replace(place)
         elif not _exchanged(temporary, place):
             # this system cannot exchange folders: for a moment there is none at `path`
-            with tempfile.TemporaryDirectory(dir=place.parent, prefix=".esd-") as aside:
+            with tempfile.TemporaryDirectory(dir=place.parent, prefix=UNFINISHED) as aside:
                 place.replace(Path(aside) / place.name)
                 temporary.replace(place)
     finally:

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from esd.common import InputError, IntArray, whole_file
+from esd.common import UNFINISHED, InputError, IntArray, whole_file
 from esd.datasets.collection import Collection, Shape, repaired_shape
 from esd.datasets.remeshing import with_remeshings
 from esd.datasets.store import Store, StoredShape, is_store, open_store, save_store
@@ -147,7 +147,7 @@ def precompute(
 
 def _remove_parts(parts: Path) -> None:
     """Remove what `_described` wrote to a folder, and the folder if it held nothing else."""
-    for part in (*parts.glob("described-*.npz"), *parts.glob(".esd-*.npz")):
+    for part in (*parts.glob("described-*.npz"), *parts.glob(f"{UNFINISHED}*.npz")):
         part.unlink(missing_ok=True)
     with contextlib.suppress(OSError):
         parts.rmdir()

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import KDTree
 
-from esd.common import BoolArray, InputError, IntArray, whole_file
+from esd.common import UNFINISHED, BoolArray, InputError, IntArray, whole_file
 from esd.datasets.collection import Collection, Shape
 from esd.datasets.open import open_collection
 from esd.learning.model import Model, load_model
@@ -57,7 +57,6 @@ _OWN = {
     *(_SETTINGS_FILE, _TEMPLATE_FILE, _REGISTERED, TRAINED, f"{TRAINED}.checkpoint"),
     *("model.npz", "mean.ply", "scores.csv", "modes.csv", "shapes.csv", "report.html"),
 }
-_UNFINISHED = ".esd-"  # begins names of files that `whole_file` has not finished
 _FAR = 0.01  # of the extent: mean distance to the scan beyond which a registration has failed
 _COVERED = 0.85  # share of a shape's area that the template must cover
 _OTHER_UNIT = 5.0  # times larger or smaller than the median: not a size but a unit of length
@@ -253,8 +252,7 @@ def is_atlas_folder(folder: str | os.PathLike[str]) -> bool:
     folder = Path(folder)
     return (
         folder.is_dir()
-        and {path.name for path in folder.iterdir() if not path.name.startswith(_UNFINISHED)}
-        <= _OWN
+        and {path.name for path in folder.iterdir() if not path.name.startswith(UNFINISHED)} <= _OWN
     )
 
 
@@ -323,7 +321,7 @@ def _start_folder(folder: Path, settings: dict[str, Any], *, renew: bool) -> Non
     if is_taken and not renew:
         raise InputError(f"'{folder}' holds other files and no atlas; choose an empty folder.")
     for place in (folder, folder / _REGISTERED):
-        for left in place.glob(f"{_UNFINISHED}*"):  # by a process that was killed
+        for left in place.glob(f"{UNFINISHED}*"):  # by a process that was killed
             if left.is_file():
                 left.unlink(missing_ok=True)
     wanted = {"format": _FORMAT, **settings}

@@ -27,7 +27,7 @@ from starlette.responses import HTMLResponse, JSONResponse, Response
 from starlette.routing import Route
 from starlette.types import ASGIApp
 
-from esd.common import InputError, whole_file
+from esd.common import UNFINISHED, InputError, whole_file
 from esd.datasets.folder import read_vts
 from esd.learning.model import ALIASES, bundled_models
 from esd.matching.correspondence import MAP_SUFFIXES, Correspondence, load_map, save_map
@@ -659,7 +659,7 @@ async def _json(request: Request) -> dict[str, Any]:
 
 async def _received(request: Request, folder: Path, limit: int) -> Path:
     """A temporary file in a folder with what a request brings; no more than it may."""
-    handle = tempfile.NamedTemporaryFile(dir=folder, prefix=".esd-", delete=False)  # noqa: SIM115
+    handle = tempfile.NamedTemporaryFile(dir=folder, prefix=UNFINISHED, delete=False)  # noqa: SIM115
     path = Path(handle.name)
     try:
         with handle:

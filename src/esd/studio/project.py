@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from esd.common import InputError, whole_file
+from esd.common import UNFINISHED, InputError, whole_file
 from esd.mesh.io.landmarks import Landmarks
 from esd.mesh.io.meshes import FORMATS
 from esd.studio.looks import Kind
@@ -116,7 +116,7 @@ class Project:
             if isinstance(error, InputError):
                 raise
             raise InputError(f"'{path}' is damaged: {error}.") from error
-        for path in self.folder.rglob(".esd-*"):
+        for path in self.folder.rglob(f"{UNFINISHED}*"):
             path.unlink(missing_ok=True)  # of a process that was killed
         for shape in list(self._shapes.values()):
             if not (self.folder / shape.file).is_file():

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import uvicorn
 
-from esd.common import InputError
+from esd.common import UNFINISHED, InputError
 from esd.studio.app import Studio, create_app
 from esd.studio.project import Project, check_mesh_name
 
@@ -76,7 +76,7 @@ def serve(
     try:
         numbers = []
         for shape in shapes:
-            with tempfile.NamedTemporaryFile(dir=folder, prefix=".esd-", delete=False) as copy:
+            with tempfile.NamedTemporaryFile(dir=folder, prefix=UNFINISHED, delete=False) as copy:
                 path = Path(copy.name)
             shutil.copyfile(shape, path)
             numbers.append(studio.add_file(path, shape.name).number)
@@ -96,10 +96,14 @@ def serve(
         def end(*_: object) -> None:
             server.should_exit = True
 
-        if threading.current_thread() is threading.main_thread():
-            # also for a Ctrl-C while the server starts, when it does not listen to signals yet
-            signal.signal(signal.SIGINT, end)
-        on_start(f"http://{_ADDRESS}:{port}/{token}/")
-        server.run(sockets=[listener])
+        is_main = threading.current_thread() is threading.main_thread()
+        # also for a Ctrl-C while the server starts, when it does not listen to signals yet
+        before = signal.signal(signal.SIGINT, end) if is_main else None
+        try:
+            on_start(f"http://{_ADDRESS}:{port}/{token}/")
+            server.run(sockets=[listener])
+        finally:
+            if is_main:
+                signal.signal(signal.SIGINT, before)
     finally:
         studio.jobs.close()
