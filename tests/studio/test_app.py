@@ -182,6 +182,38 @@ def matched(app, tmp_path):
     return app
 
 
+def test_what_waits_when_the_studio_is_killed_is_done_when_it_is_opened_again(app, tmp_path):
+    for name, scale in (("a.off", 1.0), ("b.off", 1.1)):
+        sent = {"params": {"name": name}, "content": mesh_bytes(tmp_path, scale)}
+        ask(app, ("POST", "/secret/shapes", sent))
+    wait_until_done(app)
+    queue = tmp_path / "project" / "queue"
+    assert not queue.exists()
+    match = [
+        ("POST", "/secret/matches", {"json": {"source": source, "target": 3 - source}})
+        for source in (1, 2, 2)
+    ]
+    repair = ("POST", "/secret/shapes/1/repair", {})
+    assert {answer.status_code for answer in ask(app, *match, repair)} == {202}
+    kept = {path.name: path.read_text() for path in queue.iterdir()}
+    wait_until_done(app)
+    assert not list(queue.iterdir())
+    # what a process that was killed here would have left, with something damaged
+    for name, text in {**kept, "00000099.json": "{", "00000098.json": kept[max(kept)]}.items():
+        (queue / name).write_text(text.replace('"source": 2', '"source": 99'))
+    for path in (tmp_path / "project" / "maps").iterdir():
+        path.unlink()
+    again = Studio(Project(tmp_path / "project"))
+    try:
+        second = create_app(again, token="secret", port=PORT)
+        state = wait_until_done(second)
+        assert [(each["source"], each["target"]) for each in state["maps"]] == [(1, 2)]
+        assert [shape["name"] for shape in state["shapes"]][2:] == ["a-repaired.ply"] * 2
+        assert not list(queue.iterdir())
+    finally:
+        again.jobs.close()
+
+
 def test_labels_are_carried_and_maps_measured(matched, tmp_path):
     def post(path, content=b"", **params):
         answer = ask(matched, ("POST", f"/secret/{path}", {"params": params, "content": content}))[

@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 
 from esd.common import InputError
-from esd.studio.project import Project, check_mesh_name, suffix_of
+from esd.studio.project import Project, Queued, check_mesh_name, suffix_of
 
 
 @pytest.fixture
@@ -117,3 +117,15 @@ def test_maps_are_listed_the_worst_first_and_damaged_ones_not_at_all(project):
         (folder / f"{names}.csv").write_text("")
     Path(folder / "3-1.json").write_text("{}")  # without its map
     assert [(m["source"], m["target"]) for m in project.maps()] == [(1, 3), (1, 2)]
+
+
+def test_the_queue_is_kept_in_order_without_what_is_damaged(project):
+    wanted = [Queued("match", 1, 2, landmarks=True), Queued("carry", 2, 1), Queued("repair", 1, 1)]
+    paths = [project.enqueue(each) for each in wanted]
+    paths[0].unlink()
+    again = Project(project.folder)
+    assert again.queue() == list(zip(paths[1:], wanted[1:], strict=True))
+    assert again.enqueue(wanted[0]) > paths[-1]
+    for damaged in ("{", "[]", '{"kind": "match"}', '{"kind": "x", "source": 1, "target": 2}'):
+        paths[1].write_text(damaged)
+        assert again.queue()[0] == (paths[1], None)

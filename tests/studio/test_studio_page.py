@@ -416,6 +416,7 @@ def test_a_studio_that_was_killed_resumes(browser, tmp_path):
         rows = tab.landmarks()
         verdict = tab.page.inner_text("#verdict")
         tab.add(tmp_path / "files" / "a.off")  # is being examined when the server is killed
+        tab.ask("POST", "matches", {"source": 2, "target": 1})  # and this waits
         tab.until(lambda: len(tab.state()["shapes"]) == 3)
         server.kill()
         tab.until(lambda: "does not answer" in tab.page.inner_text("#message"))
@@ -425,6 +426,7 @@ def test_a_studio_that_was_killed_resumes(browser, tmp_path):
         assert again.landmarks() == rows
         assert again.page.inner_text("#verdict") == verdict
         again.until(lambda: again.state()["shapes"][2]["vertices"] == 2048)
+        again.until(lambda: len(again.state()["maps"]) == 2)
         assert again.complaints == []
         again.close()
     finally:

@@ -40,8 +40,17 @@ from esd.mesh.repair.repair import usable_part
 from esd.studio.guard import Guard
 from esd.studio.jobs import Job, Jobs
 from esd.studio.looks import write_carried_look
-from esd.studio.project import Project, ProjectShape, check_mesh_name
-from esd.studio.worker import Carry, Examine, Match, Measure, Repair, as_bytes, judgement_of
+from esd.studio.project import Project, ProjectShape, Queued, check_mesh_name
+from esd.studio.worker import (
+    Carry,
+    Examine,
+    Match,
+    Measure,
+    Repair,
+    Task,
+    as_bytes,
+    judgement_of,
+)
 from esd.viewing.page import MODULES, part, view
 from esd.viewing.scene import AXES, Scene
 
@@ -76,6 +85,35 @@ class Studio:
         for shape in project.shapes():
             if shape.vertices is None:  # the studio was closed before it was examined
                 self._examine(shape)
+        for path, queued in project.queue():  # when the studio was killed
+            try:
+                if queued is not None:
+                    self._resume(queued)
+            except InputError:  # of a shape that was removed
+                pass
+            path.unlink(missing_ok=True)
+
+    def _resume(self, queued: Queued) -> None:
+        numbers = queued.source, queued.target
+        if queued.kind == "match":
+            self.match(*numbers, landmarks=queued.landmarks)
+        elif queued.kind == "measure":
+            self.measure(*numbers)
+        elif queued.kind == "repair":
+            self.repair(queued.source)
+        else:
+            self.carry(*(self.project.shape(number) for number in numbers))
+
+    def _submit(self, title: str, task: Task, queued: Queued) -> Job:
+        """Put a task into the queue, and keep it until it ends."""
+        path = self.project.enqueue(queued)
+        job: Job | None = None
+        try:
+            job = self.jobs.submit(title, task, kept=path)
+        finally:
+            if job is None or job.kept != path:  # refused, or it waits already
+                path.unlink(missing_ok=True)
+        return job
 
     def _settings(self) -> dict[str, str]:
         return {**DEFAULTS, **self.project.settings()}
@@ -117,7 +155,11 @@ class Studio:
                 before = self._figures(source, target)["judgement"]["is_mirrored"]
                 task = replace(task, mirror="yes" if before else "no")
             task = replace(task, landmarks=(shapes[0].landmarks(), shapes[1].landmarks()))
-        return self.jobs.submit(f"Match {shapes[0].name} to {shapes[1].name}", task)
+        return self._submit(
+            f"Match {shapes[0].name} to {shapes[1].name}",
+            task,
+            Queued("match", source, target, landmarks),
+        )
 
     def _match(self, source: ProjectShape, target: ProjectShape, model: str, mirror: str) -> Match:
         return Match(
@@ -149,7 +191,16 @@ class Studio:
         shapes = self.project.shape(source), self.project.shape(target)
         found = self._match(*shapes, figures["model"], figures["mirror"])
         task = Measure(found, truth, None) if truth.is_file() else Measure(found, None, points)
-        return self.jobs.submit(f"Measure {shapes[0].name} to {shapes[1].name}", task)
+        return self._submit(
+            f"Measure {shapes[0].name} to {shapes[1].name}", task, Queued("measure", source, target)
+        )
+
+    def repair(self, number: int) -> Job:
+        """Have a repaired copy of a shape added."""
+        shape = self.project.shape(number)
+        output = self.project.folder / "meshes" / f"repaired-{number}.ply"
+        task = Repair(self.project.path(shape), output)
+        return self._submit(f"Repair {shape.name}", task, Queued("repair", number, number))
 
     def carry(self, source: ProjectShape, target: ProjectShape) -> Job | None:
         """Have the labels and the texture or colours of the source carried; None if it has none."""
@@ -167,10 +218,20 @@ class Studio:
             task = replace(task, look=(source.look, self.project.carried_path(*numbers)))
         if task.labels is None and task.look is None:
             return None
-        return self.jobs.submit(f"Carry from {source.name} to {target.name}", task)
+        return self._submit(
+            f"Carry from {source.name} to {target.name}", task, Queued("carry", *numbers)
+        )
 
     def _ended(self, job: Job, result: dict[str, Any] | None) -> None:
         """Keep what a job found out; a shape that cannot be used is removed."""
+        try:
+            self._keep(job, result)
+        finally:
+            if job.kept is not None:
+                job.kept.unlink(missing_ok=True)
+        self.jobs.touch()
+
+    def _keep(self, job: Job, result: dict[str, Any] | None) -> None:
         task = job.task
         if isinstance(task, Examine):
             for shape in self.project.shapes():
@@ -189,7 +250,6 @@ class Studio:
             self.measure(*(int(number) for number in task.map.stem.split("-")))
         elif isinstance(task, Carry) and result is not None and task.labels is not None:
             self.project.given(int(task.labels[1].stem), "labels")
-        self.jobs.touch()
 
     def state(self) -> dict[str, Any]:
         """All that the page shows but the shapes and maps themselves."""
@@ -239,9 +299,7 @@ class Studio:
 
     async def repair_shape(self, request: Request) -> Response:
         """Have a repaired copy of a shape added."""
-        shape = self.project.shape(request.path_params["number"])
-        output = self.project.folder / "meshes" / f"repaired-{shape.number}.ply"
-        job = self.jobs.submit(f"Repair {shape.name}", Repair(self.project.path(shape), output))
+        job = await run_in_threadpool(self.repair, request.path_params["number"])
         return JSONResponse({"job": job.number}, 202)
 
     async def get_shape(self, request: Request) -> Response:
@@ -399,7 +457,9 @@ class Studio:
         source, target = given.get("source"), given.get("target")
         if not isinstance(source, int) or not isinstance(target, int):
             raise InputError("Expected the numbers of a source and a target.")
-        job = self.match(source, target, landmarks=bool(given.get("landmarks")))
+        job = await run_in_threadpool(
+            self.match, source, target, landmarks=bool(given.get("landmarks"))
+        )
         return JSONResponse({"job": job.number}, 202)
 
     async def cancel_job(self, request: Request) -> Response:

@@ -6,6 +6,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from multiprocessing import connection, get_context
+from pathlib import Path
 from typing import Any, Literal
 
 from esd.common import InputError
@@ -32,6 +33,8 @@ class Job:
         How far it is; the stage in words, and the share that is done, from 0 to 1.
     error
         Why it failed, in one line.
+    kept
+        File that keeps the task while it waits or runs; whoever hears of the end removes it.
     """
 
     number: int
@@ -41,6 +44,7 @@ class Job:
     stage: str = ""
     share: float = 0.0
     error: str = ""
+    kept: Path | None = None
 
 
 class Jobs:
@@ -75,8 +79,13 @@ class Jobs:
         self._process.start()
         theirs.close()
 
-    def submit(self, title: str, task: Task) -> Job:
+    def submit(self, title: str, task: Task, *, kept: Path | None = None) -> Job:
         """Put a task into the queue; one that waits already is not put there twice.
+
+        Parameters
+        ----------
+        kept
+            See `Job`.
 
         Raises
         ------
@@ -90,7 +99,7 @@ class Jobs:
                     return job
             if len(waiting) >= _MOST_WAITING:
                 raise InputError("Too much is waiting to be computed; cancel some of it.")
-            job = Job(self._next, title, task)
+            job = Job(self._next, title, task, kept=kept)
             self._next += 1
             self._set(job)
             return job

@@ -7,7 +7,7 @@ import re
 import threading
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -20,6 +20,29 @@ _VERSION = 1
 _MOST_SHAPES = 200
 _MOST_LANDMARKS = 500
 _LONGEST_NAME = 100
+
+QueuedKind = Literal["match", "measure", "carry", "repair"]
+
+
+@dataclass(frozen=True, slots=True)
+class Queued:
+    """What is to be computed of a pair, or of one shape that is both.
+
+    Parameters
+    ----------
+    kind
+        The pair is matched, its map measured, what the source has is carried to the target, or a
+        repaired copy of the source is added.
+    source, target
+        Numbers of the shapes.
+    landmarks
+        Whether the landmarks of both guide the map.
+    """
+
+    kind: QueuedKind
+    source: int
+    target: int
+    landmarks: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,8 +97,8 @@ class Project:
     `project.json` lists the shapes, with their landmarks; `meshes/` holds them as they were given,
     `maps/` a `.csv` file and a `.json` file of figures for each matched pair, `labels/` and
     `points/` a file for each shape that has them, `truth/` the true map of a pair where it is
-    known, and `carried/` shapes with the texture of another. What `views/` holds is computed from
-    these.
+    known, and `carried/` shapes with the texture of another. `queue/` has a file for each thing
+    that is to be computed. What `views/` holds is computed from these.
 
     Raises
     ------
@@ -89,6 +112,8 @@ class Project:
         self._shapes: dict[int, ProjectShape] = {}
         self._next = 1
         self._settings: dict[str, str] = {}
+        last = max((path.stem for path, _ in self.queue()), default="0")
+        self._queued = int(last) if last.isdigit() else 0
         path = folder / "project.json"
         if path.is_file():
             self._read(path)
@@ -268,6 +293,21 @@ class Project:
         )
         return self.folder / "carried" / ("-by-".join(stems) + ".glb")
 
+    def enqueue(self, queued: Queued) -> Path:
+        """A new file that keeps what is to be computed, until the file is removed."""
+        with self._lock:
+            folder = self.folder / "queue"
+            folder.mkdir(exist_ok=True)
+            self._queued += 1
+            path = folder / f"{self._queued:08d}.json"
+        with whole_file(path) as temporary:
+            temporary.write_text(json.dumps(asdict(queued)), encoding="utf-8")
+        return path
+
+    def queue(self) -> list[tuple[Path, Queued | None]]:
+        """The files of what is to be computed, in order; None for damaged ones."""
+        return [(path, _queued(path)) for path in sorted((self.folder / "queue").glob("*.json"))]
+
     def maps(self) -> list[dict[str, Any]]:
         """The figures of all maps, those of the lowest expected accuracy first."""
         found = []
@@ -286,6 +326,14 @@ class Project:
                     numbers = {"source": int(source), "target": int(target)}
                     found.append({**figures, **numbers, "stamp": stamp})
         return sorted(found, key=lambda figures: figures.get("expected_accuracy") or 0.0)
+
+
+def _queued(path: Path) -> Queued | None:
+    try:
+        queued = Queued(**json.loads(path.read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError):
+        return None
+    return queued if queued.kind in get_args(QueuedKind) else None
 
 
 def suffix_of(name: str) -> str:
