@@ -80,6 +80,45 @@ def test_two_files_that_are_dropped_are_matched(tab, tmp_path):
     assert tab.page.locator("#shapes > li").count() == 2
 
 
+def test_two_files_are_matched_beside_others_when_the_state_comes_late(tab, tmp_path):
+    write_mesh(bent(1.2), tmp_path / "other.off")
+    tab.add(tmp_path / "other.off")
+    tab.until_idle()
+    tab.page.evaluate(
+        """() => { // answers that lack the second file come after the answer to its upload
+            const { fetch } = window;
+            const pause = (time) => new Promise((done) => setTimeout(done, time));
+            window.fetch = async (path, options) => {
+                if (path.startsWith("shapes?name=b")) await pause(500);
+                const answer = await fetch(path, options);
+                if (path.startsWith("state")) await pause(1000);
+                return answer;
+            };
+        }"""
+    )
+    tab.add(*write_pair(tmp_path))
+    tab.wait_for_map()
+    assert tab.page.locator("#target option:checked").inner_text() == "b.off"
+
+
+def test_what_cannot_be_shown_once_is_asked_for_again(tab, tmp_path):
+    tab.page.evaluate(
+        """() => {
+            const { fetch } = window;
+            window.fetch = async (path, options) => {
+                if (!path.endsWith("/view")) return fetch(path, options);
+                window.fetch = fetch;
+                throw new Error("broken off");
+            };
+        }"""
+    )
+    write_mesh(bent(), tmp_path / "a.off")
+    tab.add(tmp_path / "a.off")
+    tab.until(lambda: "does not answer" in tab.page.inner_text("#message"))
+    tab.ask("PUT", "settings", {})  # a new state
+    tab.page.wait_for_selector("html[data-shown^=shapes]")
+
+
 def test_a_folder_that_is_dropped_brings_its_meshes(tab, tmp_path):
     folder = tmp_path / "set"
     write_pair(folder / "inner")

@@ -290,7 +290,7 @@ class Studio:
             shape = await run_in_threadpool(self.add_file, path, name)
         finally:
             path.unlink(missing_ok=True)
-        return JSONResponse({"number": shape.number}, 201)
+        return JSONResponse({"number": shape.number, "version": self.jobs.version}, 201)
 
     async def remove_shape(self, request: Request) -> Response:
         """Remove a shape with its maps."""

@@ -12,6 +12,7 @@ const empty = element("empty");
 
 let state = { version: -1, shapes: [], maps: [], jobs: [], settings: {}, models: [], formats: [] };
 let pair = { source: 0, target: 0 }; // numbers of the shapes that are shown
+let known = -1; // version of the state from which on it has all shapes that were added
 let shown = ""; // what is on the stage
 const dismissed = new Set(); // jobs whose failure was read
 
@@ -91,7 +92,13 @@ const showPair = guarded(async () => {
     delete document.documentElement.dataset.shown;
     return;
   }
-  const scene = map ? await matchedScene(source, target) : await bareScene(ready);
+  let scene;
+  try {
+    scene = await (map ? matchedScene(source, target) : bareScene(ready));
+  } catch (error) {
+    if (shown === key) shown = ""; // the next state asks again
+    throw error;
+  }
   if (shown !== key) return; // something else is wanted by now
   scene.meta.up = keptUp = ready[0].up || scene.meta.up;
   viewer.mark({});
@@ -132,8 +139,10 @@ async function bareScene(ready) {
 function draw() {
   element("folder").textContent = `Kept in ${state.folder}`;
   const numbers = state.shapes.map(({ number }) => number);
-  if (!numbers.includes(pair.source)) pair.source = numbers[0] ?? 0;
-  if (!numbers.includes(pair.target) || pair.target === pair.source) pair.target = numbers.find((n) => n !== pair.source) ?? 0;
+  if (state.version >= known) { // an older state may lack the pair that was just added
+    if (!numbers.includes(pair.source)) pair.source = numbers[0] ?? 0;
+    if (!numbers.includes(pair.target) || pair.target === pair.source) pair.target = numbers.find((n) => n !== pair.source) ?? 0;
+  }
   for (const side of ["source", "target"]) {
     fill(element(side), state.shapes.map(({ number, name }) => [String(number), name]), String(pair[side]));
   }
@@ -264,7 +273,10 @@ const addFiles = guarded(async (files) => {
   if (others.length) say(`Left out, since not a mesh: ${others.slice(0, 5).join(", ")}${others.length > 5 ? ", …" : ""}.`);
   for (const file of files.filter(isMesh)) {
     const added = await guarded(() => ask(`shapes?name=${encodeURIComponent(file.name)}`, { method: "POST", body: file }))();
-    if (added) numbers.push(added.number);
+    if (added) {
+      numbers.push(added.number);
+      known = Math.max(known, added.version);
+    }
   }
   if (numbers.length === 2) {
     pair = { source: numbers[0], target: numbers[1] };
