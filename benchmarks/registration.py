@@ -42,12 +42,12 @@ import esd
 from esd.datasets.body_pack import posed, read_pack, skinned
 from esd.datasets.folder import read_vts
 from esd.datasets.parts import Perturbed, part_of, part_with
+from esd.deformation.fit import Fit, fit, is_inverted
 from esd.mesh.geodesics import geodesic_graph
 from esd.mesh.geometry import surface_area
 from esd.mesh.mesh import Mesh
 from esd.mesh.remesh.remesh import remesh
 from esd.mesh.sampling import spread
-from esd.registration.fit import Fit, fit, is_inverted
 from esd.registration.quality import distance_to, quality
 
 

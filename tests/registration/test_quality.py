@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
+from esd.deformation.fit import Fit
 from esd.mesh.mesh import Mesh, PointCloud
 from esd.mesh.shapes import grid
-from esd.registration.fit import Fit
 from esd.registration.quality import distance_to, quality
 
 PLANE = grid(9, 9)  # the unit square

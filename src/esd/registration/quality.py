@@ -8,11 +8,11 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from esd.common import FloatArray
+from esd.deformation.fit import Fit, is_inverted
 from esd.mesh.geometry import edges, face_areas, is_referenced, vertex_areas
 from esd.mesh.mesh import Mesh, PointCloud
 from esd.mesh.surface import closest_points, positions
 from esd.mesh.topology import is_collapsed
-from esd.registration.fit import Fit, is_inverted
 
 _COVERED = 0.01  # of the extent: what is farther from the template is not covered
 _NEAR = 3  # vertices of the scan around which the closest point of its surface is sought

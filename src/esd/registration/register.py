@@ -11,13 +11,13 @@ import numpy.typing as npt
 from scipy.spatial import KDTree
 
 from esd.common import BoolArray, InputError, IntArray
+from esd.deformation.fit import Fit, fit
 from esd.learning.model import Model
 from esd.matching.correspondence import Correspondence
 from esd.matching.match import DEFAULT_MODEL, match
 from esd.mesh.convert import MeshLike
 from esd.mesh.mesh import Mesh
 from esd.mesh.repair.repair import Repaired, repair, usable_part
-from esd.registration.fit import Fit, fit
 from esd.registration.quality import Quality, quality
 from esd.spectral.cache import Cache
 

@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from esd.deformation.elastic import Pull, elastic, nearest_rotations
 from esd.mesh.mesh import Mesh
 from esd.mesh.shapes import subdivide, torus
-from esd.registration.elastic import Pull, elastic, nearest_rotations
 
 
 def test_nearest_rotations_are_those_of_stretched_rotations():

@@ -9,12 +9,12 @@ import numpy.typing as npt
 from scipy.spatial import KDTree
 
 from esd.common import BoolArray, FloatArray, InputError, IntArray
+from esd.deformation.claims import claims
+from esd.deformation.elastic import Elastic, Pull, elastic
 from esd.mesh.geometry import is_referenced, surface_area, vertex_normals
 from esd.mesh.mesh import Mesh, PointCloud
 from esd.mesh.surface import closest_points, interpolated, positions
 from esd.mesh.topology import boundary_edges, edge_table
-from esd.registration.claims import claims
-from esd.registration.elastic import Elastic, Pull, elastic
 
 _MAP_LENGTHS = (0.3, 0.2, 0.12, 0.08, 0.05, 0.05, 0.05, 0.05)
 _SURFACE_LENGTHS = (0.05, 0.05, 0.04, 0.04, 0.03, 0.03, 0.02, 0.02, 0.015, 0.015, 0.01, 0.01)
@@ -71,7 +71,7 @@ def fit(
     against the energy of an as-rigid-as-possible deformation, which becomes softer from round to
     round; it alone decides where the scan has nothing. Of distant parts of the template at one
     place of the scan, only the one with the better claim is drawn there, see
-    `esd.registration.claims`. Last, inverted faces are turned back.
+    `esd.deformation.claims`. Last, inverted faces are turned back.
 
     Parameters
     ----------

@@ -3,10 +3,10 @@ import pytest
 from scipy.spatial import KDTree
 
 from esd.common import InputError
+from esd.deformation.elastic import elastic
+from esd.deformation.fit import Fit, fit, is_inverted, without_inverted
 from esd.mesh.mesh import Mesh, PointCloud
 from esd.mesh.shapes import subdivide, torus
-from esd.registration.elastic import elastic
-from esd.registration.fit import Fit, fit, is_inverted, without_inverted
 from esd.registration.quality import distance_to, quality
 
 

@@ -1,12 +1,12 @@
 import numpy as np
 import pytest
 
+from esd.deformation.claims import Claims, claims
+from esd.deformation.elastic import elastic
 from esd.mesh.geodesics import geodesic_distances
 from esd.mesh.geometry import surface_area, vertex_normals
 from esd.mesh.mesh import Mesh
 from esd.mesh.shapes import subdivide, torus
-from esd.registration.claims import Claims, claims
-from esd.registration.elastic import elastic
 
 RING = subdivide(torus(32, 12))
 UNIT = surface_area(RING) ** 0.5

@@ -11,8 +11,8 @@ from scipy.sparse import csgraph
 from scipy.spatial import KDTree
 
 from esd.common import BoolArray, FloatArray
+from esd.deformation.elastic import Elastic
 from esd.mesh.sampling import spread
-from esd.registration.elastic import Elastic
 
 _ANCHORS = 48  # vertices, distances from which bound those between any two from below
 _APART = 0.2  # in √area: along the template, between parts that cannot share a place

@@ -1,0 +1,1 @@
+"""Meshes deformed onto surfaces, as rigidly as possible."""
