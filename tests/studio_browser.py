@@ -97,6 +97,7 @@ class Tab:
             self.ask("DELETE", f"shapes/{shape['number']}")
         self.until(lambda: self.page.locator("#shapes > li").count() == 0)
         self.page.wait_for_selector("html:not([data-shown])")
+        self.settle()
         self.complaints.clear()  # the page may just have asked for a shape that was removed
 
     def until(self, happened, seconds: float = 120) -> None:
@@ -112,6 +113,12 @@ class Tab:
             lambda: not {"waiting", "running"} & {job["state"] for job in self.state()["jobs"]}
         )
         self.page.wait_for_selector("#jobs li:not(.failed)", state="detached")
+
+    def settle(self, moving: float = 0) -> None:
+        """Wait for some milliseconds that something moves, and until what is then is drawn."""
+        self.page.wait_for_timeout(moving)
+        frame = "new Promise((done) => requestAnimationFrame(() => setTimeout(done)))"
+        self.page.evaluate(f"async () => {{ for (let k = 0; k < 3; k++) await {frame}; }}")
 
     def drop(self, *paths: Path) -> None:
         """Drop files and folders on the stage, as a person does."""
@@ -176,6 +183,6 @@ class Tab:
 
         from PIL import Image
 
-        self.page.wait_for_timeout(200)
+        self.settle()
         shot = self.page.locator("#stage").screenshot()
         return np.asarray(Image.open(BytesIO(shot)).convert("RGB")).astype(int)

@@ -76,8 +76,7 @@ def wait_until_done(app, seconds=120):
     while time.monotonic() < end:
         state = get(app, "/secret/state").json()
         if all(job["state"] not in ("waiting", "running") for job in state["jobs"]):
-            time.sleep(0.2)  # what a job found out is kept right after it
-            return get(app, "/secret/state").json()
+            return state
         time.sleep(0.1)
     raise TimeoutError
 

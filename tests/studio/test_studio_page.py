@@ -67,7 +67,7 @@ def click_landmarks(tab, count=4):
             tab.click(side, *place)
         tab.until(lambda k=k: len(tab.landmarks()) == k + 1)
     tab.page.keyboard.press("Escape")
-    tab.until(lambda: len(tab.state()["shapes"][0]["places"]) == count)
+    tab.until(lambda: [len(shape["places"]) for shape in tab.state()["shapes"]] == [count] * 2)
 
 
 def test_two_files_that_are_dropped_are_matched(tab, tmp_path):
@@ -200,7 +200,7 @@ def test_a_place_is_suggested(matched):
     page = matched.page
     page.keyboard.press("s")
     page.wait_for_selector("#marks .pin")
-    page.wait_for_timeout(700)
+    matched.settle(600)  # it flies for 500
     assert "click the same place on the target" in page.inner_text("#landmark-hint")
     matched.click("target", 0.5, 0.5)  # the camera flew to the place on both
     matched.until(lambda: len(matched.landmarks()) == 1)
@@ -294,10 +294,14 @@ def test_findings_are_shown_where_they_are_and_repaired_on_request(tab, tmp_path
     show = tab.page.locator("#shapes button[aria-label^='Show where']")
     assert show.count() >= 1
     show.first.click()
-    tab.page.wait_for_timeout(700)
+
+    def is_red() -> bool:
+        picture = tab.picture()
+        return bool(((picture[..., 0] > 150) & (picture[..., 1] < 90)).any())
+
+    tab.until(is_red)
+    tab.settle(600)  # it flies for 500
     assert np.abs(tab.picture() - before).mean() > 1
-    red = tab.picture()
-    assert ((red[..., 0] > 150) & (red[..., 1] < 90)).any()
     for shape in tab.state()["shapes"][1:]:
         tab.ask("DELETE", f"shapes/{shape['number']}")
     tab.until(lambda: tab.page.locator("#shapes > li").count() == 1)
@@ -435,7 +439,6 @@ def test_everything_is_exported(matched, tmp_path):
     assert picture.shape[2] == 4
     assert picture[0, 0, 3] == 0
     assert 0.1 < (picture[..., 3] == 255).mean() < 0.9
-    page.wait_for_timeout(300)
     (tmp_path / "page.html").write_bytes(matched.saved("#export-page"))
     mailed = matched.context.new_page()
     mailed.goto((tmp_path / "page.html").as_uri())

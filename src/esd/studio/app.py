@@ -253,8 +253,10 @@ class Studio:
 
     def state(self) -> dict[str, Any]:
         """All that the page shows but the shapes and maps themselves."""
+        version = self.jobs.version  # first: whatever changes from here on is asked for again
+        jobs = self.jobs.list()  # then what those that ended found is in the rest
         return {
-            "version": self.jobs.version,
+            "version": version,
             "folder": str(self.project.folder.resolve()),
             "shapes": [
                 {key: value for key, value in asdict(shape).items() if key != "file"}
@@ -264,9 +266,7 @@ class Studio:
                 {key: value for key, value in figures.items() if key != "judgement"}
                 for figures in self.project.maps()
             ],
-            "jobs": [
-                {key: getattr(job, key) for key in _SHOWN_OF_JOBS} for job in self.jobs.list()
-            ],
+            "jobs": [{key: getattr(job, key) for key in _SHOWN_OF_JOBS} for job in jobs],
             "settings": self._settings(),
             "models": [*ALIASES, *bundled_models()],
             "formats": list(FORMATS),

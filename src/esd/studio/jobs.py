@@ -55,7 +55,8 @@ class Jobs:
     model
         Name of the model that is loaded at once.
     on_end
-        Called in another thread with each job that ended, and its result if it is done.
+        Called in another thread with each job that ended, and its result if it is done, before it
+        is listed as ended.
     """
 
     def __init__(
@@ -66,6 +67,7 @@ class Jobs:
         self._changed = threading.Condition()
         self._jobs: dict[int, Job] = {}
         self._next = 1
+        self._computing = 0  # number of the job that the process works at
         self._closed = False
         self.version = 0
         self._start_worker()
@@ -122,11 +124,11 @@ class Jobs:
             if job is None:
                 raise InputError(f"There is no job {number}.")
             if job.state in ("waiting", "running"):
-                was_running = job.state == "running"
+                was_waiting = job.state == "waiting"
                 self._set(replace(job, state="cancelled", stage=""))
-                if was_running:
+                if self._computing == number:
                     self._process.terminate()
-                else:
+                elif was_waiting:
                     threading.Thread(target=self._on_end, args=(self._jobs[number], None)).start()
 
     def close(self) -> None:
@@ -155,16 +157,15 @@ class Jobs:
 
     def _run(self) -> None:
         while (job := self._taken()) is not None:
-            result = self._done(job)
+            ended, result = self._done(job)
             with self._changed:
                 if self._closed:
                     return
-                ended = self._jobs[job.number]
             try:
                 self._on_end(ended, result)
-            except InputError as error:  # such as a project that is full
-                self._update(job, state="failed", error=str(error))
-            self.touch()
+            except (InputError, OSError) as error:  # such as a project or a disk that is full
+                ended = replace(ended, state="failed", error=str(error))
+            self._update(job, state=ended.state, stage="", error=ended.error)
 
     def _taken(self) -> Job | None:
         """The next job, marked as running; None once the queue is closed."""
@@ -173,13 +174,14 @@ class Jobs:
                 for job in self._jobs.values():
                     if job.state == "waiting":
                         job = replace(job, state="running")
+                        self._computing = job.number
                         self._set(job)
                         return job
                 self._changed.wait()
         return None
 
-    def _done(self, job: Job) -> dict[str, Any] | None:
-        """Have a job done; its result, if there is one."""
+    def _done(self, job: Job) -> tuple[Job, dict[str, Any] | None]:
+        """Have a job done; the job as it ended, and its result if there is one."""
         try:
             self._pipe.send(job.task)
             while True:
@@ -187,32 +189,38 @@ class Jobs:
                 if not self._pipe.poll():
                     raise EOFError
                 kind, value = self._pipe.recv()
-                if self._is_cancelled(job):
-                    raise EOFError  # the process is about to end
+                with self._changed:
+                    if self._is_cancelled(job):
+                        raise EOFError  # the process is about to end
+                    if kind != "progress":
+                        self._computing = 0
                 if kind == "progress":
                     stage, share = value
-                    self._update(job, state="running", stage=stage, share=share)
+                    self._update(job, stage=stage, share=share)
                 elif kind == "failed":
-                    self._update(job, state="failed", stage="", error=value)
-                    return None
+                    return replace(job, state="failed", error=value), None
                 else:
-                    self._update(job, state="done", stage="")
-                    return value
+                    return replace(job, state="done"), value
         except (EOFError, OSError):  # the process ended: it was cancelled, or died
             self._process.join()
             self._pipe.close()
-            self._update(job, state="failed", stage="", error=_DIED)
-            if not self._closed:
-                self._start_worker()
-            return None
+            with self._changed:
+                self._computing = 0
+                is_cancelled = self._is_cancelled(job)
+                if not self._closed:
+                    self._start_worker()
+            if is_cancelled:
+                return replace(job, state="cancelled"), None
+            return replace(job, state="failed", error=_DIED), None
 
     def _is_cancelled(self, job: Job) -> bool:
-        with self._changed:
-            return self._jobs[job.number].state == "cancelled"
+        """Whether a job was cancelled, even if it is no longer listed after many others."""
+        now = self._jobs.get(job.number)
+        return now is None or now.state == "cancelled"
 
     def _update(self, job: Job, **changes: Any) -> None:
         """Change a job, unless it was cancelled."""
         with self._changed:
-            now = self._jobs[job.number]
-            if now.state != "cancelled":
-                self._set(replace(now, **changes))
+            if not self._is_cancelled(job):
+                self._set(replace(self._jobs[job.number], **changes))
+            self.version += 1
