@@ -90,7 +90,7 @@ def test_the_frames_of_an_animation_are_written_to_a_folder(run, blob, tmp_path)
         (["in/a.off", "in/none.off"], 1, "in/none.off"),
     ],
 )
-def test_frames_that_cannot_be_told_apart_are_refused(
+def test_frames_that_are_missing_or_ambiguous_are_refused(
     run, blob, tmp_path, monkeypatch, scans, code, message
 ):
     monkeypatch.chdir(tmp_path)

@@ -476,7 +476,7 @@ def test_a_studio_that_was_killed_resumes(browser, tmp_path):
         server.kill()
 
 
-def test_a_browser_without_webgl_is_told_and_still_matches(browser, server, tmp_path):
+def test_a_browser_without_webgl_shows_why_and_still_matches(browser, server, tmp_path):
     first = Tab(browser, server.address)
     first.empty()
     first.context.add_init_script("HTMLCanvasElement.prototype.getContext = () => null")
