@@ -130,7 +130,7 @@ def test_crumpled_faces_are_turned_back(template):
     generator = np.random.default_rng(0)
     near = np.linalg.norm(template.vertices - template.vertices[0], axis=1) < 0.6
     assert 20 < near.sum() < len(near) / 4
-    noise = 0.2 * generator.normal(size=template.vertices.shape)
+    noise = 0.1 * generator.normal(size=template.vertices.shape)
     crumpled = np.where(near[:, None], template.vertices + noise, template.vertices)
     before = is_inverted(Mesh(crumpled, template.faces))
     assert before.sum() > 10
@@ -138,6 +138,20 @@ def test_crumpled_faces_are_turned_back(template):
     assert not is_inverted(Mesh(found, template.faces)).any()
     far = np.linalg.norm(template.vertices - template.vertices[0], axis=1) > 1.5
     assert (found[far] == template.vertices[far]).all()
+
+
+def test_no_vertex_is_moved_far_to_turn_faces_back(template):
+    # on one side a little, on the other beyond repair
+    gap = np.linalg.norm(template.vertices - template.vertices[0], axis=1)[:, None]
+    strength = np.where(gap < 0.6, 0.1, 0.0) + np.where(gap > gap.max() - 0.6, 0.5, 0.0)
+    noise = strength * np.random.default_rng(0).normal(size=template.vertices.shape)
+    crumpled = template.vertices + noise
+    body = elastic(template)
+    found = without_inverted(body, crumpled, template.faces)
+    before, after = (is_inverted(Mesh(v, template.faces)).sum() for v in (crumpled, found))
+    assert 0 < after < before
+    moved = np.linalg.norm(found - crumpled, axis=1)
+    assert 0 < moved.max() <= 0.1 * body.unit
 
 
 def test_a_start_keeps_the_scale_that_it_is_given(template):

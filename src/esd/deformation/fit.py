@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from esd.common import BoolArray, FloatArray, InputError, IntArray
 from esd.deformation.claims import claims
 from esd.deformation.elastic import Elastic, Pull, elastic
-from esd.mesh.geometry import is_referenced, surface_area, vertex_normals
+from esd.mesh.geometry import adjacency, is_referenced, surface_area, vertex_normals
 from esd.mesh.mesh import Mesh, PointCloud
 from esd.mesh.surface import closest_points, interpolated, positions
 from esd.mesh.topology import boundary_edges, edge_table
@@ -34,6 +36,10 @@ _WIDTHS = (2, 3, 4, 6)
 """Rings of faces about inverted ones, up to which their surroundings are placed anew, in turn."""
 
 _REPEATS, _STALLED = 4, 2  # of each; after so many in a row that leave no fewer, the next one
+_FARTHEST = 0.1  # in √area, by which vertices are moved to turn faces back
+
+_Way = tuple[Callable[[npt.NDArray[np.float64], BoolArray], npt.NDArray[np.float64]], int]
+"""What places free vertices anew, and how many rings about inverted faces are free."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -184,32 +190,73 @@ def without_inverted(
 ) -> npt.NDArray[np.float64]:
     """The vertices, (n, 3), with surroundings of inverted faces placed anew, or else flattened.
 
-    Faces that are inverted at rest stay as they are.
+    No vertex is moved far. Faces that are inverted at rest stay as they are.
     """
     at_rest = is_inverted(Mesh(body.rest, faces))
+    start, joined = vertices, adjacency(body.edge, len(vertices))
 
-    def left() -> BoolArray:
+    def left(vertices: npt.NDArray[np.float64]) -> BoolArray:
         return is_inverted(Mesh(vertices, faces)) & ~at_rest
 
-    for most in _WIDTHS:
-        ways = [(p, width) for p in (body.filled, body.flattened) for width in range(most)]
-        stalled = 0
-        for _ in range(_REPEATS):
-            before = left().sum()
-            for placed, width in ways:
-                inverted = left()
-                if not inverted.any():
-                    return vertices
-                free = np.zeros(len(vertices), dtype=bool)
-                free[faces[inverted]] = True
-                for _ in range(width):
-                    free[faces[free[faces].any(axis=1)]] = True
-                if not free.all():
-                    vertices = placed(vertices, free)
-            stalled = stalled + 1 if left().sum() >= before else 0
-            if stalled == _STALLED:
-                break
-    return vertices
+    def placed_anew(
+        vertices: npt.NDArray[np.float64], inverted: BoolArray, way: _Way, *, careful: bool
+    ) -> npt.NDArray[np.float64]:
+        """The vertices with those patches placed anew that may be so."""
+        place, width = way
+        free = np.zeros(len(vertices), dtype=bool)
+        free[faces[inverted]] = True
+        for _ in range(width):
+            free = _grown(free, faces)
+        if free.all():
+            return vertices
+        found = place(vertices, free)
+        # a face may turn over where its neighbours move: one more ring belongs to a patch
+        inside = np.flatnonzero(_grown(free, faces))
+        count, label = connected_components(joined[inside][:, inside], directed=False)
+        patch = np.full(len(vertices), -1)
+        patch[inside] = label
+        is_far = np.linalg.norm(found - start, axis=1) > _FARTHEST * body.unit
+        refused = np.zeros(count, dtype=bool)
+        refused[patch[is_far & free]] = True
+        if careful:
+            of_face = patch[faces].max(axis=1)  # -1, or the patch of all corners in one
+            before, after = (
+                np.bincount(of_face[mask & (of_face >= 0)], minlength=count)
+                for mask in (inverted, left(found))
+            )
+            refused |= after > before
+        moved = free & ~refused[patch]
+        return np.where(moved[:, None], found, vertices)
+
+    best, fewest = vertices, np.inf
+    # carelessly first: what adds inverted faces may lead to a state from which all are turned back
+    for careful in (False, True):
+        vertices = best
+        for most in _WIDTHS:
+            ways = [(p, width) for p in (body.filled, body.flattened) for width in range(most)]
+            stalled = 0
+            for _ in range(_REPEATS):
+                before = left(vertices).sum()
+                for way in ways:
+                    inverted = left(vertices)
+                    if inverted.sum() < fewest:
+                        best, fewest = vertices, inverted.sum()
+                    if fewest == 0:
+                        return best
+                    vertices = placed_anew(vertices, inverted, way, careful=careful)
+                stalled = stalled + 1 if left(vertices).sum() >= before else 0
+                if stalled == _STALLED:
+                    break
+        if left(vertices).sum() < fewest:
+            best = vertices
+    return best
+
+
+def _grown(chosen: BoolArray, faces: IntArray) -> BoolArray:
+    """Vertices, (n,), with those that share a face with them."""
+    result = chosen.copy()
+    result[faces[chosen[faces].any(axis=1)]] = True
+    return result
 
 
 def _rounds(lengths: tuple[float, ...]) -> list[tuple[float, float]]:
