@@ -16,6 +16,7 @@ from esd.matching.refine import zoomout
 from esd.mesh.geometry import face_areas, surface_area, unit, vertex_normals
 from esd.mesh.mesh import Mesh
 from esd.nearest import nearest
+from esd.parallel import side_by_side
 from esd.spectral.spectrum import Spectrum
 
 Rows = tuple[FloatArray, FloatArray]
@@ -147,17 +148,32 @@ def spectral_candidate(
     start : (s,) and (s,)
         Maps between the samples to start from; by default the nearest embeddings.
     """
-    spectra = source.spectrum, target.spectrum
-    here, there = source.posed.sample, target.posed.sample
-    at_samples = embeddings[0][here], embeddings[1][there]
-    if start is None:
-        start = nearest(*at_samples)[0], nearest(*at_samples[::-1])[0]
-    there_map = zoomout(*spectra, start[0], sizes=sizes, embeddings=at_samples)
-    back_map = zoomout(*spectra[::-1], start[1], sizes=sizes, embeddings=at_samples[::-1])
-    forward = _rows(source, target, there_map, embeddings, sizes[-1])
+    there, back = start if start is not None else (None, None)
+    forward, backward = side_by_side(
+        lambda way: rows_one_way(*way, sizes=sizes),
+        (
+            (source, target, embeddings, there),
+            (target, source, (embeddings[1], embeddings[0]), back),
+        ),
+    )
     # computed from the target to the source, and put back into the order (source, target)
-    backward = _rows(target, source, back_map, embeddings[::-1], sizes[-1])[::-1]
-    return Candidate(name, forward, (backward[0], backward[1]), embeddings)
+    return Candidate(name, forward, (backward[1], backward[0]), embeddings)
+
+
+def rows_one_way(
+    source: Sampled,
+    target: Sampled,
+    embeddings: Rows,
+    start: IntArray | None = None,
+    *,
+    sizes: Sequence[int] = _FROM_NOTHING,
+) -> Rows:
+    """The rows of the map of `spectral_candidate`, without the map back."""
+    at_samples = embeddings[0][source.posed.sample], embeddings[1][target.posed.sample]
+    if start is None:
+        start = nearest(*at_samples)[0]
+    index = zoomout(source.spectrum, target.spectrum, start, sizes=sizes, embeddings=at_samples)
+    return _rows(source, target, index, embeddings, sizes[-1])
 
 
 def _rows(source: Sampled, target: Sampled, index: IntArray, embeddings: Rows, size: int) -> Rows:

@@ -22,6 +22,7 @@ from esd.matching.candidates import (
     Rows,
     Sampled,
     extrinsic_candidate,
+    rows_one_way,
     spectral_candidate,
 )
 from esd.matching.extrinsic import aligned, deformed
@@ -30,9 +31,13 @@ from esd.mesh.geometry import surface_area, unit
 from esd.mesh.io.landmarks import Landmarks
 from esd.mesh.mesh import Mesh
 from esd.nearest import nearest
+from esd.parallel import side_by_side
 
 FEWEST = 3
 """Number of landmarks that are needed."""
+
+_BY_LANDMARKS = "landmarks+"  # begins the names of `LANDMARK_CANDIDATES`
+_EXTRINSIC = f"{_BY_LANDMARKS}extrinsic"
 
 _NEAR = 0.05  # in √area: distances to a landmark below this count as about the same
 _WEIGHT = 3.0  # of rows of landmarks
@@ -166,17 +171,19 @@ def landmark_candidates(
     rows
         Embeddings and descriptors of all vertices, by name.
     """
-    found = []
     beside = _beside(source, target, landmarks, rows)
-    for name, embeddings in beside.items():
-        if f"landmarks+{name}" in names:
-            found.append(spectral_candidate(f"landmarks+{name}", source, target, embeddings))
-    if "landmarks+extrinsic" in names:
+
+    def candidate(name: str) -> Candidate:
+        if name != _EXTRINSIC:
+            embeddings = beside[name.removeprefix(_BY_LANDMARKS)]
+            return spectral_candidate(name, source, target, embeddings)
         pairs = landmarks[:, 0], landmarks[:, 1]
         alignment = aligned(source.posed, target.posed, matches=[pairs], search=False)
         moved = deformed(alignment.source, target.posed, landmarks=pairs)
-        found.append(extrinsic_candidate(moved, target.posed, name="landmarks+extrinsic"))
-    return found
+        return extrinsic_candidate(moved, target.posed, name=name)
+
+    known = [_EXTRINSIC, *(f"{_BY_LANDMARKS}{name}" for name in beside)]  # the slowest first
+    return side_by_side(candidate, [name for name in known if name in names])
 
 
 def contradicted(
@@ -211,16 +218,20 @@ def _misses(source: Sampled, target: Sampled, landmarks: IntArray, descriptors: 
     ]
     graph = geodesic_graph(_mesh(target))
     miss = np.empty(count)
-    for left_out in np.unique(fold):
+
+    def without(left_out: int) -> tuple[IntArray, FloatArray]:
         used = fold != left_out
         embeddings = _joined(
             (unit(near[0][:, used]), unit(near[1][:, used])), descriptors, _DESCRIPTOR_WEIGHT
         )
-        candidate = spectral_candidate("landmarks", source, target, embeddings)
+        found = rows_one_way(source, target, embeddings)
         out = np.flatnonzero(~used)
-        image = nearest(candidate.forward[0][landmarks[out, 0]], candidate.forward[1])[0]
+        image = nearest(found[0][landmarks[out, 0]], found[1])[0]
         distance = graph.distances(landmarks[out, 1])
-        miss[out] = distance[np.arange(len(out)), image]
+        return out, distance[np.arange(len(out)), image]
+
+    for out, distance in side_by_side(without, np.unique(fold).tolist()):
+        miss[out] = distance
     return np.asarray(miss / np.sqrt(surface_area(_mesh(target))))
 
 
