@@ -276,3 +276,45 @@ def test_other_formats_take_the_mesh_alone_and_textures_go_along(tmp_path):
     write_textured(mesh, texture, tmp_path / "a.obj")
     write_mesh_like(moved, tmp_path / "b.obj", original=tmp_path / "a.obj")
     np.testing.assert_allclose(read_texture(tmp_path / "b.obj").coordinates, corners, atol=1e-6)
+
+
+def test_groups_and_materials_of_an_obj_file_with_one_image_go_along(tmp_path):
+    image = pytest.importorskip("PIL.Image")
+    (tmp_path / "in").mkdir()
+    for name, colour in (("skin.png", "red"), ("other.png", "blue")):
+        image.new("RGB", (4, 4), colour).save(tmp_path / "in" / name)
+    text = """mtllib a.mtl
+v 0 0 0
+v 1 0 0
+v 1 1 0
+v 0 1 0
+vt 0 0
+vt 3 1
+g left
+usemtl skin
+f 1/1 2/2 3/1 4/2
+g right
+usemtl hair
+f 1/1 2/2 3/1
+"""
+    materials = "newmtl skin\nKs 0 0 1\nmap_Kd skin.png\nmap_Bump b.png\n\nnewmtl hair\nmap_Kd {}\n"
+    (tmp_path / "in" / "a.obj").write_text(text)
+    (tmp_path / "in" / "a.mtl").write_text(materials.format("skin.png"))
+    mesh = read_mesh(tmp_path / "in" / "a.obj")
+    moved = Mesh(mesh.vertices + 0.5, mesh.faces)
+    write_mesh_like(moved, tmp_path / "b.obj", original=tmp_path / "in" / "a.obj")
+    np.testing.assert_array_equal(read_mesh(tmp_path / "b.obj").vertices, moved.vertices)
+    lines = (tmp_path / "b.obj").read_text().splitlines()
+    assert lines[0] == "mtllib b.mtl"
+    assert lines[7:] == text.splitlines()[7:]
+    assert (tmp_path / "b.mtl").read_text().split("\n") == [
+        *("newmtl skin", "Ks 0 0 1", "map_Kd b.png", "", "newmtl hair", "map_Kd b.png", "")
+    ]
+    for path in (tmp_path / "in" / "a.obj", tmp_path / "b.obj"):
+        texture = read_texture(path)
+        assert texture.image.convert("RGB").getpixel((0, 0)) == (255, 0, 0)
+        np.testing.assert_array_equal(texture.coordinates[0], [[0, 0], [3, 1], [0, 0]])
+    # several images become one, with a material of its own
+    (tmp_path / "in" / "a.mtl").write_text(materials.format("other.png"))
+    write_mesh_like(moved, tmp_path / "c.obj", original=tmp_path / "in" / "a.obj")
+    assert "usemtl texture" in (tmp_path / "c.obj").read_text()

@@ -17,7 +17,13 @@ from esd.mesh.io.gltf import read_gltf
 from esd.mesh.io.meshes import read_mesh, write_mesh
 from esd.mesh.io.obj import obj_text_like, read_obj
 from esd.mesh.io.ply import ply_bytes, ply_elements
-from esd.mesh.io.textures import TEXTURE_FORMATS, Texture, read_texture, write_textured
+from esd.mesh.io.textures import (
+    TEXTURE_FORMATS,
+    Texture,
+    read_texture,
+    write_obj_like,
+    write_textured,
+)
 from esd.mesh.mesh import Mesh, PointCloud
 
 ATTRIBUTE_FORMATS = (".ply", ".vtp")
@@ -118,9 +124,10 @@ def write_mesh_like(
 ) -> None:
     """Write a mesh with the texture, groups or attributes of a file of equal connectivity.
 
-    Textures go from OBJ and GLB files to such, all but material files from OBJ files without a
-    texture to OBJ, numbers at vertices and faces from PLY to PLY; between other formats nothing
-    goes along. Normals are left out: they are no longer those of the mesh.
+    Textures go from OBJ and GLB files to such; polygons, groups, materials and texture coordinates
+    from OBJ to OBJ, unless there are several images, which are put together into one; numbers at
+    vertices and faces from PLY to PLY; between other formats nothing goes along. Normals are left
+    out: they are no longer those of the mesh.
 
     Raises
     ------
@@ -129,6 +136,8 @@ def write_mesh_like(
     """
     path, original = Path(path), Path(original)
     suffixes = original.suffix.lower(), path.suffix.lower()
+    if suffixes == (".obj", ".obj") and write_obj_like(mesh, path, original=original):
+        return
     if all(suffix in TEXTURE_FORMATS for suffix in suffixes):
         texture = _texture(original)
         if texture is not None and len(texture.coordinates) == len(mesh.faces):

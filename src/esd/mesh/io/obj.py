@@ -105,15 +105,15 @@ def obj_text(mesh: Mesh) -> str:
     return "\n".join([*lines, ""])
 
 
-def obj_text_like(mesh: Mesh, original: Path) -> str:
+def obj_text_like(mesh: Mesh, original: Path, *, library: str = "") -> str:
     """An OBJ file with the vertices of a mesh, and all else of a file that has as many.
 
     Polygons, groups, names of materials, texture coordinates and colours of vertices stay. Normals
-    and material files are left out: they are not those of the new file.
+    and material files are left out: they are not those of the new file, which names `library`.
     """
     text = original.read_text(encoding="utf-8-sig", errors="replace").replace("\\\r\n", " ")
     rows = iter(mesh.vertices.tolist())
-    lines = []
+    lines = [f"mtllib {library}"] if library else []
     for line in text.replace("\\\n", " ").splitlines():
         words = line.partition("#")[0].split()
         kind = words[0] if words else ""

@@ -13,7 +13,7 @@ import numpy as np
 from esd.common import FloatArray, InputError, IntArray, install_hint, is_file, whole_file
 from esd.mesh.io.gltf import gltf_image, read_gltf
 from esd.mesh.io.meshes import read_mesh
-from esd.mesh.io.obj import ObjFile, read_obj
+from esd.mesh.io.obj import ObjFile, obj_text_like, read_obj
 from esd.mesh.mesh import Mesh
 
 TEXTURE_FORMATS = (".obj", ".glb")
@@ -21,6 +21,7 @@ TEXTURE_FORMATS = (".obj", ".glb")
 
 _WIDEST, _HIGHEST = 2**14, 2**13  # pixels of an image that is put together of several
 _OUTSIDE = 0.01  # of an image, by which coordinates may be off it through rounding
+_MAPS = ("map_", "bump", "norm", "disp", "decal", "refl")  # begin lines that name images
 _MOST_TILES = 64  # repetitions of an image over one face
 _OPTIONS = {"-blendu": 1, "-blendv": 1, "-bm": 1, "-boost": 1, "-cc": 1, "-clamp": 1}
 _OPTIONS |= {"-imfchan": 1, "-mm": 2, "-texres": 1, "-type": 1, "-o": 3, "-s": 3, "-t": 3}
@@ -118,6 +119,49 @@ def write_textured(mesh: Mesh, texture: Texture, path: str | os.PathLike[str]) -
         temporary.write_text(f"newmtl texture\nKd 1 1 1\nmap_Kd {stem}.png\n", encoding="utf-8")
     with whole_file(path) as temporary:
         temporary.write_text("\n".join([*lines, ""]), encoding="utf-8")
+
+
+def write_obj_like(mesh: Mesh, path: Path, *, original: Path) -> bool:
+    """Write an OBJ file with all that another one of equal connectivity has; whether it was.
+
+    Polygons, groups, materials and texture coordinates stay; `.mtl` and `.png` of the same name as
+    the new file are its materials and image. Nothing is written if the other one has no texture, or
+    several images.
+    """
+    try:
+        image = read_texture(original).image
+        content = read_obj(original)
+        if len(_obj_texture(original)[1]) > 1:
+            return False
+    except InputError:  # it has no texture
+        return False
+    materials, text = path.with_suffix(".mtl"), _materials(content, original, f"{path.stem}.png")
+    with whole_file(path.with_suffix(".png")) as temporary:
+        image.save(temporary)
+    with whole_file(materials) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    with whole_file(path) as temporary:
+        whole = obj_text_like(mesh, original, library=materials.name)
+        temporary.write_text(whole, encoding="utf-8")
+    return True
+
+
+def _materials(content: ObjFile, path: Path, image: str) -> str:
+    """The material files of an OBJ file in one, with another image; maps of other kinds left out.
+
+    Their files are not beside the new one.
+    """
+    lines = []
+    for library in content.libraries:
+        file = _beside(path, library)
+        read = file.read_text(encoding="utf-8-sig", errors="replace") if is_file(file) else ""
+        for line in read.splitlines():
+            kind = line.split()[0] if line.split() else ""
+            if kind == "map_Kd":
+                lines.append(f"map_Kd {image}")
+            elif not kind.lower().startswith(_MAPS):
+                lines.append(line)
+    return "\n".join([*lines, ""])
 
 
 def _image(content: bytes, name: str) -> Any:
