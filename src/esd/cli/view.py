@@ -48,7 +48,7 @@ def view(
     The page needs no network. Point at a shape to see the match; press ? for its keys.
     """
     from esd.viewing.page import check_page_path
-    from esd.viewing.scene import AXES
+    from esd.viewing.upright import AXES
 
     path = check_page_path(output or Path(f"{source.stem}-{target.stem}.html"))
     inputs = [source, target, map, *([truth] if truth else []), *(points or ())]
@@ -83,7 +83,9 @@ def write_page(
 ) -> None:
     """Write the page of a map between two mesh files."""
     from esd.viewing.page import view as page_of
+    from esd.viewing.upright import default_up, usual_up
 
+    up = up or default_up(source[1], usual=usual_up(source[0]))
     # names of files may hold bytes that are no text
     names = {
         key: os.fsencode(file.name).decode("utf-8", errors="replace")

@@ -52,7 +52,8 @@ from esd.studio.worker import (
     judgement_of,
 )
 from esd.viewing.page import MODULES, part, view
-from esd.viewing.scene import AXES, Scene
+from esd.viewing.scene import Scene
+from esd.viewing.upright import AXES, default_up, usual_up
 
 LARGEST_MESH = 512 * 2**20
 LARGEST_TABLE = 64 * 2**20
@@ -532,14 +533,15 @@ class Studio:
         return Mesh(self._mesh(target).vertices[np.maximum(index, 0)], mesh.faces[whole])
 
     def _write_page(self, source: ProjectShape, target: ProjectShape, path: Path) -> None:
+        mesh = self._mesh(source)
         view(
-            self._mesh(source),
+            mesh,
             self._mesh(target),
             self._map(source, target),
             source_name=source.name,
             target_name=target.name,
             model=self._figures(source.number, target.number)["model"],
-            up=source.up or None,
+            up=source.up or default_up(mesh, usual=usual_up(self.project.path(source))),
         ).save(path)
 
     def _pair(self, request: Request) -> tuple[ProjectShape, ProjectShape]:

@@ -38,12 +38,12 @@ from esd.studio.looks import Kind, look, write_carried_look
 from esd.viewing.scene import (
     PALETTE,
     Scene,
-    default_up,
     mean_error,
     of_unit_area,
     scene,
     shape_arrays,
 )
+from esd.viewing.upright import default_up, usual_up
 
 _MOST_FEATURES = 12  # shapes whose features are held
 _PARTS: dict[str, Any] = {"adaptation": Adaptation, "overlap": Overlap}  # of a judgement
@@ -185,7 +185,8 @@ def _examined(task: Examine, memory: _Memory, report: Reporter) -> dict[str, Any
     if not surface_area(drawable) > 0:
         raise InputError("Nothing can be drawn: its faces have no area.")
     kind, colours = look(task.path)
-    _write_view(shape_scene(drawable, task.name, colours), task.view)
+    up = default_up(drawable, usual=usual_up(task.path))
+    _write_view(shape_scene(drawable, task.name, colours, up), task.view)
     report("Looking for defects", 0.15)
     repaired = _shape(memory, task.path)
     marked = [_as_dict(finding, drawable) for finding in repaired.diagnosis.findings]
@@ -324,6 +325,7 @@ def _write_found(
         source_name=task.names[0],
         target_name=task.names[1],
         model=figures["model"],
+        up=default_up(source, usual=usual_up(task.source)),
     )
     _write_view(shown, task.view)
     with whole_file(task.figures) as temporary:
@@ -365,13 +367,13 @@ def _latest(kept: OrderedDict[Any, Any], key: Any) -> Any:
     return kept[key]
 
 
-def shape_scene(mesh: Mesh, name: str, colours: npt.NDArray[np.uint8]) -> Scene:
+def shape_scene(mesh: Mesh, name: str, colours: npt.NDArray[np.uint8], up: str) -> Scene:
     """What the viewer shows of a shape alone, with colours of its vertices (n, 3) if it has any."""
     mesh_of_unit_area = of_unit_area(mesh)
     meta = {
         "source": name,
         "target": "",
-        "up": default_up(mesh),
+        "up": up,
         "radius": float(np.linalg.norm(mesh_of_unit_area.vertices, axis=1).max()),
         "fields": [],
         **PALETTE,

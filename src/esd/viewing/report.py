@@ -13,15 +13,8 @@ from esd.mesh.mesh import Mesh
 from esd.population.atlas import Atlas
 from esd.population.shape_model import without_missing
 from esd.viewing.page import Page, escaped, page_with, part
-from esd.viewing.scene import (
-    AXES,
-    PALETTE,
-    Scene,
-    default_up,
-    of_unit_area,
-    round_above,
-    shape_arrays,
-)
+from esd.viewing.scene import PALETTE, Scene, of_unit_area, round_above, shape_arrays
+from esd.viewing.upright import AXES, default_up
 
 MODULES = ("data.js", "colours.js", "shape.js", "viewer.js", "report.js")
 """Of the page."""

@@ -19,9 +19,7 @@ from esd.mesh.geometry import edge_lengths, face_areas, is_referenced, surface_a
 from esd.mesh.mesh import Mesh
 from esd.mesh.sampling import spread
 from esd.viewing.colours import UNMATCHED, VIRIDIS, position_colours
-
-AXES = ("x", "-x", "y", "-y", "z", "-z")
-"""Axes that may point up."""
+from esd.viewing.upright import AXES, default_up
 
 _LINES = 300
 _MOST_SPREAD = 10_000  # vertices among which those of lines are looked for
@@ -131,11 +129,6 @@ PALETTE = {
     "ramp": [[int(stop[i : i + 2], 16) / 255 for i in (0, 2, 4)] for stop in VIRIDIS],
 }
 """Colours that the viewer paints values with."""
-
-
-def default_up(mesh: Mesh) -> str:
-    """The axis that probably points up: z where the mesh is longest along z, otherwise y."""
-    return "z" if np.ptp(mesh.vertices, axis=0).argmax() == 2 else "y"
 
 
 def of_unit_area(mesh: Mesh) -> Mesh:
