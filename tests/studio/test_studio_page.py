@@ -7,7 +7,7 @@ import pytest
 pytest.importorskip("starlette", reason="the extra 'studio' is not installed")
 pytest.importorskip("uvicorn", reason="the extra 'studio' is not installed")
 
-from esd.mesh.io.attributes import write_coloured
+from esd.mesh.io.attributes import read_vertex_colours, write_coloured
 from esd.mesh.io.meshes import write_mesh
 from esd.mesh.mesh import Mesh
 from esd.mesh.shapes import subdivide
@@ -337,10 +337,12 @@ def test_a_model_is_chosen_and_shapes_are_swapped_and_removed(matched):
     matched.empty()
 
 
-def test_all_pairs_of_several_shapes_are_in_the_gallery(tab, tmp_path):
-    for k in range(3):
+def test_all_pairs_of_several_shapes_are_in_the_gallery(tab, server, tmp_path):
+    red = np.where(bent().vertices[:, :1] > 0, [[220, 30, 30, 255]], [[30, 30, 220, 255]])
+    write_coloured(bent(), red.astype(np.uint8), tmp_path / "m0.ply")
+    for k in (1, 2):
         write_mesh(bent(1 + 0.1 * k), tmp_path / f"m{k}.off")
-    tab.add(*(tmp_path / f"m{k}.off" for k in range(3)))
+    tab.add(tmp_path / "m0.ply", *(tmp_path / f"m{k}.off" for k in (1, 2)))
     tab.until(lambda: [s["vertices"] for s in tab.state()["shapes"]] == [2048] * 3)
     tab.page.click("#match-all")
     tab.until(lambda: len(tab.state()["maps"]) == 3)
@@ -352,8 +354,8 @@ def test_all_pairs_of_several_shapes_are_in_the_gallery(tab, tmp_path):
     tab.page.wait_for_selector("#maps button[aria-current=true]")
     assert buttons.last.get_attribute("aria-current") == "true"
     tab.wait_for_map()
-    # the landmarks and labels of the source go to all
-    tab.page.select_option("#source", label="m0.off")
+    # the landmarks, labels and colours of the source go to all
+    tab.page.select_option("#source", label="m0.ply")
     number = tab.state()["shapes"][0]["number"]
     tab.ask("PUT", f"shapes/{number}/landmarks", {"names": ["nose", "tail"], "places": [5, 900]})
     parts = np.where(bent().vertices[:, 1] > 0, "upper", "lower")
@@ -364,6 +366,13 @@ def test_all_pairs_of_several_shapes_are_in_the_gallery(tab, tmp_path):
     tab.page.click("#carry-all")
     tab.until(lambda: [s["names"] for s in tab.state()["shapes"]] == [["nose", "tail"]] * 3)
     tab.until(lambda: [s["labels"] for s in tab.state()["shapes"]] == [1, 1, 1])
+    tab.until_idle()
+    numbers = [shape["number"] for shape in tab.state()["shapes"]]
+    for k in (1, 2):
+        (path,) = (server.folder / "carried").glob(f"{numbers[k]}-m{k}-by-{number}-m0.glb")
+        colours = read_vertex_colours(path)[:, 0] > 128
+        same = (colours == (red[:, 0] > 128)).mean()
+        assert max(same, 1 - same) > 0.95
     carried = tab.saved("#store-labels").decode().split()
     same = (np.array(carried) == parts).mean()
     assert max(same, 1 - same) > 0.95  # half a turn about x takes the shape to itself
