@@ -45,6 +45,7 @@ def main() -> None:
     )
     parser.add_argument("--include")
     parser.add_argument("--template", default="auto")
+    parser.add_argument("--vertices", type=int, default=10_000, help="of an automatic template")
     parser.add_argument("--model", default="default")
     parser.add_argument("--landmarks", type=int, default=0)
     parser.add_argument("--keep-failed", action="store_true")
@@ -211,6 +212,7 @@ def measured(collection: Collection, arguments: argparse.Namespace, *, template:
         model=arguments.model,
         folder=arguments.output,
         keep_failed=arguments.keep_failed,
+        vertex_count=arguments.vertices,
         workers=Workers(arguments.workers),
     )
     spent = seconds() - before
