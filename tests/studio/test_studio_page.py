@@ -11,6 +11,7 @@ from esd.mesh.io.attributes import read_vertex_colours, write_coloured
 from esd.mesh.io.meshes import write_mesh
 from esd.mesh.mesh import Mesh
 from esd.mesh.shapes import subdivide
+from standing import animal
 from studio_browser import Server, Tab, bent, write_pair
 
 HTML = "<img src=x onerror=alert(1)>"
@@ -430,6 +431,15 @@ def test_what_has_no_counterpart_is_grey_and_the_axis_up_is_kept(matched):
     assert page.input_value("#up") == "-y"
     page.select_option("#up", "y")
     matched.until(lambda: matched.state()["shapes"][0]["up"] == "y")
+
+
+def test_what_stands_opens_upright(tab, tmp_path):
+    mesh = animal()
+    write_mesh(Mesh(mesh.vertices * [1, -1, -1], mesh.faces), tmp_path / "fallen.off")
+    tab.add(tmp_path / "fallen.off")
+    tab.page.wait_for_selector("html[data-shown^=shapes]")
+    assert tab.page.input_value("#up") == "-y"
+    assert tab.state()["shapes"][0]["up"] == ""  # not chosen by anyone
 
 
 def test_everything_is_exported(matched, tmp_path):

@@ -88,7 +88,7 @@ const showPair = guarded(async () => {
   if (!viewer || key === shown) return;
   shown = key;
   if (!ready.length) {
-    viewer.load({ meta: { up: "y" }, arrays: {} });
+    viewer.load({ meta: { up: keptUp = "y" }, arrays: {} });
     delete document.documentElement.dataset.shown;
     return;
   }
