@@ -18,7 +18,10 @@ from esd.mesh.shapes import icosphere, torus
 
 @pytest.fixture(autouse=True)
 def _own_cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("ESD_CACHE", str(tmp_path_factory.getbasetemp() / "cache"))
+    base = tmp_path_factory.getbasetemp()
+    # processes that share the tests share their spectra
+    shared = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+    monkeypatch.setenv("ESD_CACHE", str(shared / "cache"))
 
 
 @pytest.fixture
@@ -103,10 +106,16 @@ def run(run_here, tmp_path, monkeypatch):
     return partial(run_here, where=tmp_path)
 
 
-@pytest.fixture
-def as_they_are(monkeypatch):
+@pytest.fixture(autouse=True)
+def _as_they_are(request, monkeypatch):
     """Small meshes are not subdivided before they are matched, which takes most of the time."""
-    monkeypatch.setattr("esd.matching.features._FEWEST", 300)
+    if "subdivided" not in request.fixturenames:
+        monkeypatch.setattr("esd.matching.features._FEWEST", 300)
+
+
+@pytest.fixture
+def subdivided() -> None:
+    """Small meshes are subdivided before they are matched, as they are for users."""
 
 
 @pytest.fixture

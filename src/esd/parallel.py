@@ -265,7 +265,7 @@ def _await_scheduler(workers: Workers) -> None:
     try:
         if _awaited(identity).get("type") == "Scheduler":
             return
-    except (OSError, TimeoutError) as error:
+    except (OSError, TimeoutError, asyncio.TimeoutError) as error:  # two in Python 3.10
         raise InputError(
             f"No Dask scheduler answered at '{workers.scheduler}' within {workers.patience:g} s. "
             "Start one by `dask scheduler`, and give the address that it prints."

@@ -1,8 +1,6 @@
 """`esd atlas`."""
 
 import json
-import os
-import signal
 import subprocess
 import sys
 
@@ -78,25 +76,34 @@ def test_what_cannot_be_done_is_refused_before_anything_is(
 
 
 KILLED = """
-import os, signal, sys
+import json, os, signal, sys
+from importlib import import_module
 from esd.cli import main
-from esd.common import whole_file
 
-name, call = sys.argv[1].rsplit(".", 1)
-del sys.argv[1]
-calls = int(os.environ["CALLS"])
+def run_until(name, calls):
+    module, _, call = name.rpartition(".")
+    before = getattr(import_module(module), call)
 
-def dies(*arguments, **options):
-    global calls
-    calls -= 1
-    if calls < 0:
-        os.kill(os.getpid(), signal.SIGKILL)
-    return before(*arguments, **options)
+    def dies(*arguments, **options):
+        nonlocal calls
+        calls -= 1
+        if calls < 0:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return before(*arguments, **options)
 
-module = __import__(name, fromlist=[call])
-before = getattr(module, call)
-setattr(module, call, dies)
-main()
+    setattr(sys.modules[module], call, dies)
+    main()
+
+steps = json.loads(sys.argv.pop(1))
+for name, _ in steps:
+    import_module(name.rpartition(".")[0])
+for name, calls in steps:  # each in a process of its own, which starts with all that is imported
+    child = os.fork()
+    if child == 0:
+        run_until(name, calls)
+        os._exit(0)
+    ended = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    assert ended == -signal.SIGKILL, (name, ended)
 """
 
 
@@ -123,14 +130,14 @@ def test_a_run_that_is_killed_anywhere_resumes_with_the_same_result(run, shapes,
         ("esd.population.files._write_table", 1),  # some tables are there
         ("esd.viewing.report.report", 0),
     ]
-    for place, calls in steps:
-        killed = subprocess.run(
-            [sys.executable, "-c", KILLED, place, "atlas", *options, "-o", tmp_path / "killed"],
-            env={**os.environ, "CALLS": str(calls)},
-            check=False,
-            capture_output=True,
-        )
-        assert killed.returncode == -signal.SIGKILL, (place, killed.stderr)
+    command = ["atlas", *options, "-o", tmp_path / "killed"]
+    done = subprocess.run(
+        [sys.executable, "-c", KILLED, json.dumps(steps), *command],
+        check=False,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
     summary = json.loads(run("atlas", *options, "-o", tmp_path / "killed", "--json").stdout)
     assert summary["computed"] == 0  # all were registered before the statistics
     assert content(tmp_path / "killed") == content(tmp_path / "at_once")

@@ -4,7 +4,6 @@ import re
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from esd.datasets.bodies import bodies
 from esd.datasets.parts import part_of
@@ -61,7 +60,6 @@ def test_a_map_by_way_of_coarse_copies(run, shapes, tmp_path):
     assert "--one-to-one or --coarse, not both" in refused.stderr
 
 
-@pytest.mark.usefixtures("as_they_are")
 def test_landmarks_in_two_files_or_in_one_of_pairs(run, shapes, tmp_path):
     source, target = shapes / "tr_reg_000.off", shapes / "tr_reg_010.off"
     places = [0, 50, 150, 250, 350]
@@ -116,7 +114,7 @@ def test_broken_meshes_are_shown_with_the_vertices_of_their_files(run_here, tmp_
 
 
 def test_parts_are_matched_at_the_scale_asked_for(run, tmp_path):
-    by_name = {shape.name: shape for shape in bodies().shapes}
+    by_name = {shape.name: shape for shape in bodies(vertex_count=2500).shapes}
     whole = by_name["s11_p02"].mesh()
     part = part_of(by_name["s10_p01"].mesh(), "cut of 35 %", seed=3).mesh
     write_mesh(whole, tmp_path / "whole.ply")

@@ -26,7 +26,6 @@ def unregistered(tmp_path):
     return folder
 
 
-@pytest.mark.usefixtures("as_they_are")
 def test_a_folder_of_unregistered_meshes_needs_no_option(run, unregistered, tmp_path):
     (unregistered / "flat.ply").write_bytes((unregistered / "s0.ply").read_bytes()[:2000])
     done = run("train", unregistered, "-o", tmp_path / "model", "--steps", 3)

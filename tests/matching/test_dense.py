@@ -79,6 +79,7 @@ def test_one_to_one_maps_by_copies_are_refused(blob):
         match(blob, blob, coarse=300, one_to_one=True)
 
 
+@pytest.mark.usefixtures("subdivided")
 def test_coarse_meshes_are_subdivided_and_the_map_is_that_of_their_vertices(blob):
     """Two triangulations of one surface, a third as many vertices as descriptors need."""
     turned = Mesh(blob.vertices[:, [1, 2, 0]], blob.faces)

@@ -24,6 +24,7 @@ def test_features_of_the_mirror_image_are_those_of_a_mirrored_file(blob):
     np.testing.assert_array_equal(reflected(found, model=MODEL).values, features.values)
 
 
+@pytest.mark.usefixtures("subdivided")
 def test_a_copy_is_mirrored_with_its_shape(blob):
     features = shape_features(repair(blob), model=MODEL, resample=True)
     found = reflected(features, model=MODEL)
@@ -39,6 +40,7 @@ def test_points_and_convolutions_have_no_mirror_image(blob):
         reflected(points, model=raw_model("hks"))
 
 
+@pytest.mark.usefixtures("subdivided")
 def test_small_meshes_are_subdivided_and_large_ones_have_coarse_copies(blob):
     repaired = repair(blob)
     plain = shape_features(repaired, model=raw_model("hks"))
