@@ -8,10 +8,10 @@ of a vertex is its distance to the true vertex; that of the map, the same of the
 
     python benchmarks/registration.py ../shared/data/faust_r --scans 60,66,72,76 --peers
 
-compares with other packages' fits along the same maps: `trimesh.registration.nricp_amberg`, with
-its default steps, and libigl's as-rigid-as-possible deformation. Both take matches as landmarks:
-those of 300 vertices spread over the template, and of the most confident half of these. Seconds
-are of the processor.
+compares with other packages' fits along the same maps: `trimesh.registration.nricp_amberg` and
+`nricp_sumner`, with their default steps, and libigl's as-rigid-as-possible deformation. All
+take matches as landmarks: those of 300 vertices spread over the template, and of the most confident
+half of these. Seconds are of the processor.
 
     python benchmarks/registration.py ../shared/data/faust_r --partial
 
@@ -31,6 +31,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from functools import partial
 from importlib import resources
 from pathlib import Path
 
@@ -144,18 +145,14 @@ def ours(template: Mesh, scan: Mesh, match: esd.Correspondence) -> np.ndarray:
     return esd.register(template, scan, correspondence=match).mesh.vertices
 
 
-def trimesh_amberg(template: Mesh, scan: Mesh, match: esd.Correspondence) -> np.ndarray:
+def trimesh_nricp(kind: str, template: Mesh, scan: Mesh, match: esd.Correspondence) -> np.ndarray:
     import trimesh
 
     marks = landmarks(template, match)
     meshes = [trimesh.Trimesh(m.vertices, m.faces, process=False) for m in (template, scan)]
-    return np.asarray(
-        trimesh.registration.nricp_amberg(
-            *meshes,
-            source_landmarks=marks,
-            target_positions=scan.vertices[match.target_index[marks]],
-        )
-    )
+    register = getattr(trimesh.registration, kind)
+    places = scan.vertices[match.target_index[marks]]
+    return np.asarray(register(*meshes, source_landmarks=marks, target_positions=places))
 
 
 def igl_arap(template: Mesh, scan: Mesh, match: esd.Correspondence) -> np.ndarray:
@@ -256,7 +253,12 @@ def landmarks(template: Mesh, match: esd.Correspondence) -> np.ndarray:
 
 
 LANDMARKS = 300
-PEERS = {"esd": ours, "trimesh nricp_amberg": trimesh_amberg, "libigl arap": igl_arap}
+PEERS = {
+    "esd": ours,
+    "trimesh nricp_amberg": partial(trimesh_nricp, "nricp_amberg"),
+    "trimesh nricp_sumner": partial(trimesh_nricp, "nricp_sumner"),
+    "libigl arap": igl_arap,
+}
 
 
 def beside_points(arguments: argparse.Namespace, numbers: list[int]) -> None:
