@@ -99,6 +99,17 @@ def test_a_start_takes_the_place_of_a_map(template):
         fit(template, scan, few, np.ones(len(none)))
 
 
+def test_shapes_without_a_size_are_refused(template):
+    index, sure = np.arange(len(template.vertices)), np.ones(len(template.vertices))
+    flat = Mesh(template.vertices * [1, 0, 0], template.faces)
+    with pytest.raises(InputError, match="faces of the template have no area"):
+        fit(flat, template, index, sure)
+    with pytest.raises(InputError, match=r"What is matched has no size: .* on the scan"):
+        fit(template, flat, index, sure)
+    with pytest.raises(InputError, match="What is matched has no size"):
+        fit(template, PointCloud(0 * template.vertices), index, sure)
+
+
 def test_a_face_is_inverted_where_a_vertex_is_pushed_across_its_neighbours():
     x, y = np.meshgrid(np.arange(5.0), np.arange(5.0))
     vertices = np.stack([x.ravel(), y.ravel(), np.zeros(25)], axis=1)

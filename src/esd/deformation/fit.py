@@ -96,7 +96,8 @@ def fit(
     Raises
     ------
     InputError
-        If fewer than three vertices of the scan are matched and there is no start.
+        If the template has no area, or, without a start, fewer than three vertices of the scan are
+        matched, or what is matched has no size.
 
     References
     ----------
@@ -112,6 +113,8 @@ def fit(
             f"The map leads to {images} vertices of the scan; {_FEWEST_MATCHES} or more are "
             "needed to place the template."
         )
+    if not surface_area(template) > 0:
+        raise InputError("The faces of the template have no area; a surface is needed.")
     image = scan.vertices[target_index]
     body = elastic(template)
     parts = claims(body)
@@ -273,14 +276,19 @@ def _scale(
     template: Mesh, scan: Mesh | PointCloud, target_index: IntArray, weight: npt.NDArray[np.float64]
 ) -> float:
     """Lengths of the scan over those of the template, by the spread of what is matched."""
-    if not isinstance(scan, Mesh):
+    if isinstance(scan, Mesh):
+        faces = template.faces[(weight[template.faces] > 0).any(axis=1)]
+        sizes = [np.sqrt(surface_area(m)) for m in (Mesh(template.vertices, faces), scan)]
+    else:
         matched = weight > 0
-        here, there = template.vertices[matched], scan.vertices[target_index[matched]]
-        spreads = [np.sqrt(((x - x.mean(axis=0)) ** 2).sum(axis=1).mean()) for x in (here, there)]
-        return float(spreads[1] / max(spreads[0], np.finfo(float).tiny))
-    faces = template.faces[(weight[template.faces] > 0).any(axis=1)]
-    covered = surface_area(Mesh(template.vertices, faces))
-    return float(np.sqrt(surface_area(scan) / covered))
+        places = template.vertices[matched], scan.vertices[target_index[matched]]
+        sizes = [np.sqrt(((x - x.mean(axis=0)) ** 2).sum(axis=1).mean()) for x in places]
+    if not min(sizes) > 0:
+        raise InputError(
+            f"What is matched has no size: {sizes[0]:.3g} on the template and {sizes[1]:.3g} on "
+            "the scan; expected surfaces with an area, or points at several places."
+        )
+    return float(sizes[1] / sizes[0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
