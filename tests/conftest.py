@@ -106,16 +106,18 @@ def run(run_here, tmp_path, monkeypatch):
     return partial(run_here, where=tmp_path)
 
 
-@pytest.fixture(autouse=True)
-def _as_they_are(request, monkeypatch):
+@pytest.fixture(scope="session", autouse=True)
+def _as_they_are():
     """Small meshes are not subdivided before they are matched, which takes most of the time."""
-    if "subdivided" not in request.fixturenames:
-        monkeypatch.setattr("esd.matching.features._FEWEST", 300)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("esd.matching.features._FEWEST", 300)
+        yield
 
 
 @pytest.fixture
-def subdivided() -> None:
+def subdivided(monkeypatch) -> None:
     """Small meshes are subdivided before they are matched, as they are for users."""
+    monkeypatch.setattr("esd.matching.features._FEWEST", 2000)
 
 
 @pytest.fixture

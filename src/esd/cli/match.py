@@ -34,7 +34,7 @@ from esd.cli.options import (
 )
 from esd.cli.output import about, destination, tell
 from esd.cli.progress import progress
-from esd.cli.shapes import landmark_pairs, read_drawable
+from esd.cli.shapes import landmark_pairs, read_shown
 
 if TYPE_CHECKING:
     from esd.matching.confidence import Judgement
@@ -105,7 +105,7 @@ def match(
     page = path.with_suffix(".html")
     if view:
         destination(page, force=force, inputs=inputs)
-        drawn = read_drawable(source), read_drawable(target)
+        drawn = read_shown(source), read_shown(target)
     loaded = load_model(model, device=device)
     if adapt:
         from esd.matching.adapt import check_adaptation  # with much that is slow to import

@@ -46,6 +46,22 @@ def read_drawable(path: Path) -> Mesh:
         return mesh
 
 
+def read_shown(path: Path) -> Mesh:
+    """What is shown of a file: its drawable mesh, or triangles between points without faces.
+
+    Raises
+    ------
+    InputError
+        If there is nothing that can be drawn.
+    """
+    from esd.mesh.cloud import surface_between
+    from esd.mesh.mesh import PointCloud
+
+    with about(path):
+        shape = read_shape(path)
+        return surface_between(shape) if isinstance(shape, PointCloud) else read_drawable(path)
+
+
 def read_map(path: Path, *, source_count: int, target_count: int) -> Correspondence:
     """The map in a file, for meshes of some numbers of vertices.
 

@@ -18,7 +18,7 @@ from esd.cli.options import (
 )
 from esd.cli.output import destination, tell
 from esd.cli.progress import progress
-from esd.cli.shapes import read_drawable, read_map
+from esd.cli.shapes import read_map, read_shown
 
 if TYPE_CHECKING:
     from esd.common import FloatArray
@@ -57,7 +57,7 @@ def view(
         raise typer.BadParameter("Give --truth or --points, not both.")
     if up is not None and up not in AXES:
         raise typer.BadParameter(f"--up takes one of {', '.join(AXES)}; got '{up}'.")
-    source_mesh, target_mesh = read_drawable(source), read_drawable(target)
+    source_mesh, target_mesh = read_shown(source), read_shown(target)
     counts = {
         "source_count": len(source_mesh.vertices),
         "target_count": len(target_mesh.vertices),
