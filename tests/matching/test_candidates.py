@@ -5,7 +5,6 @@ import pytest
 
 from esd.learning.model import raw_model
 from esd.matching.candidates import (
-    Sampled,
     extrinsic_candidate,
     pair_descriptors,
     sampled,
@@ -16,21 +15,6 @@ from esd.mesh.geometry import surface_area
 from esd.mesh.mesh import Mesh
 from esd.mesh.repair.repair import repair
 from esd.nearest import nearest
-
-
-@pytest.fixture(scope="module")
-def bodies() -> tuple[Sampled, Sampled]:
-    """Two shapes of one pose, vertex i of one being vertex i of the other."""
-    from esd.mesh.shapes import torus
-
-    mesh = torus(32, 16)
-    x, y, z = mesh.vertices.T
-    swell = mesh.vertices * (1 + 0.3 * x + 0.2 * y * z)[:, None]
-    bend = 0.05 * np.sin(swell[:, [1, 2, 0]] * 2 + np.arange(3))
-    return tuple(
-        sampled(shape_features(repair(Mesh(vertices, mesh.faces)), model=raw_model("hks")))
-        for vertices in (swell, swell + bend)
-    )
 
 
 def test_samples_are_of_a_shape_of_unit_area(bodies):

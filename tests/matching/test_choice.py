@@ -1,10 +1,13 @@
+from dataclasses import replace
+
 import pytest
 
 from esd.common import InputError
 from esd.matching.candidates import CANDIDATES
-from esd.matching.choice import check_candidates, chosen
-from esd.matching.judge import accuracy
+from esd.matching.choice import check_candidates, chosen, elastic
+from esd.matching.judge import accuracy, cost
 from esd.matching.match import match
+from esd.matching.registered import REGISTERED
 
 
 def test_the_choice_is_the_candidate_of_least_cost(pair):
@@ -21,6 +24,34 @@ def test_unknown_candidates_are_refused(blob):
         check_candidates(["nearest"])
     with pytest.raises(InputError, match="got none"):
         match(blob, blob, candidates=[])
+
+
+def test_registration_is_for_choices_that_are_not_sure(pair):
+    sure = chosen(pair[0], pair[0])
+    assert elastic(sure) is sure
+    doubtful = chosen(*pair)
+    doubtful = replace(doubtful, evidence=replace(doubtful.evidence, normals=0.0, lost=0.3))
+    found = elastic(doubtful)
+    assert found.costs.keys() - doubtful.costs.keys() == {REGISTERED}
+    others = found.computed[len(doubtful.computed) :]
+    assert {candidate.name for candidate, _ in others} == {REGISTERED}
+    assert len(others) == len(doubtful.computed) + 1  # one more, of the best
+    assert found.costs[REGISTERED] == min(cost(evidence) for _, evidence in others)
+
+
+def test_a_registered_candidate_is_taken_where_it_costs_little_more(pair):
+    doubtful = chosen(*pair)
+    doubtful = replace(doubtful, evidence=replace(doubtful.evidence, normals=0.0, lost=0.3))
+    dear = replace(doubtful, costs=dict.fromkeys(doubtful.costs, 1000.0))
+    assert elastic(dear).candidate.name == REGISTERED
+    assert elastic(dear).candidate.embeddings is not None
+    cheap = replace(doubtful, costs=dict.fromkeys(doubtful.costs, -1000.0))
+    assert elastic(cheap).candidate is doubtful.candidate
+
+
+def test_registration_starts_from_other_candidates():
+    with pytest.raises(InputError, match="'registered' starts from others"):
+        check_candidates(["registered"])
 
 
 def test_match_names_the_candidate(pair):

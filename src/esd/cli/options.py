@@ -128,8 +128,8 @@ CandidatesOption = Annotated[
     typer.Option(
         metavar="NAMES",
         help="Choose the map only among these, with commas between: embedding, descriptors, "
-        "extrinsic, extrinsic+embedding, extrinsic+descriptors, part; with landmarks also "
-        "landmarks+embedding, landmarks+descriptors, landmarks+extrinsic.",
+        "extrinsic, extrinsic+embedding, extrinsic+descriptors, registered, part; with landmarks "
+        "also landmarks+embedding, landmarks+descriptors, landmarks+extrinsic.",
         show_default=False,
     ),
 ]

@@ -69,6 +69,7 @@ def fit(
     *,
     start: npt.NDArray[np.float64] | None = None,
     scale: float = 1.0,
+    quick: bool = False,
 ) -> Fit:
     """The template's vertices on a scan.
 
@@ -92,6 +93,8 @@ def fit(
     scale
         Lengths of the scan over those of the template, where there is a start; otherwise it follows
         from the map.
+    quick
+        Whether half of the rounds are left out, and inverted faces are left as they are.
 
     Raises
     ------
@@ -133,7 +136,8 @@ def fit(
         return np.asarray(weight / (1 + gap / (trust * unit) ** 2) ** 2)
 
     vertices = body.interpolated(image, weight) if start is None else start
-    for share, length in _rounds(_MAP_LENGTHS if start is None else ()):
+    every = 2 if quick else 1
+    for share, length in _rounds(_MAP_LENGTHS[::every] if start is None else ()):
         vertices = body.deformed(
             vertices, Pull(image, matched(vertices, _between(_TRUST, share))), length
         )
@@ -158,8 +162,10 @@ def fit(
         pull = Pull(position, total, near.normals, height, along)
         return body.deformed(vertices, pull, length), accepted
 
-    for share, length in _rounds(_SURFACE_LENGTHS):
+    for share, length in _rounds(_SURFACE_LENGTHS[::every]):
         vertices, accepted = deformed_to_surface(vertices, share, length)
+    if quick:
+        return Fit(vertices, accepted, scale)
     turned = without_inverted(body, vertices, template.faces)
     at_rest = is_inverted(template)
     for _ in range(_FINISHING):

@@ -28,6 +28,7 @@ CANDIDATES = {
     "extrinsic": "affine alignment and smooth deformation, for shapes of one pose",
     "extrinsic+embedding": "extrinsic, refined with the embeddings",
     "extrinsic+descriptors": "extrinsic, refined with the descriptors",
+    "registered": "the others, the source deformed onto the target along them",
     "part": "embeddings of a model of parts, where a shape has large holes or is cut",
 }
 """Names of the candidates, and what each is."""
@@ -36,6 +37,7 @@ LANDMARK_CANDIDATES = {
     "landmarks+embedding": "distances to the landmarks, beside embeddings of the model",
     "landmarks+descriptors": "distances to the landmarks, beside descriptors of the pair",
     "landmarks+extrinsic": "alignment by the landmarks and smooth deformation",
+    "registered": CANDIDATES["registered"],
 }
 """Names of the candidates where landmarks are given, and what each is."""
 

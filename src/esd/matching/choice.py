@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -25,6 +25,13 @@ from esd.matching.extrinsic import Alignment, aligned, deformed
 from esd.matching.features import Features
 from esd.matching.judge import Evidence, accuracy, cost, evidence
 from esd.matching.landmarks import FEWEST, contradicted, landmark_candidates
+from esd.matching.registered import (
+    REGISTERED,
+    coarse,
+    registered,
+    smoothed,
+    with_embeddings,
+)
 from esd.nearest import nearest
 from esd.parallel import side_by_side
 
@@ -32,7 +39,7 @@ CHAIN = "chain"
 """Name of the candidate that refines a map by way of other shapes."""
 
 _SURE = 0.97  # expected accuracy of a candidate beyond which shapes of other poses get no more
-_OF_A_LANDMARK = 0.8  # cost of leaving out one of four
+_OF_A_LANDMARK = 1.0  # cost of leaving out one of four
 _OTHER_POSE = 0.07  # residual of the alignment beyond which shapes are not of one pose
 
 
@@ -50,12 +57,18 @@ class Choice:
         Of all that were computed, by name; the least is best.
     contradicted
         Indices of the landmarks that the others contradict.
+    computed
+        All candidates that were computed, with their evidence.
+    shapes
+        The source and the target with their samples.
     """
 
     candidate: Candidate
     evidence: Evidence
     costs: dict[str, float]
     contradicted: IntArray
+    computed: tuple[tuple[Candidate, Evidence], ...]
+    shapes: tuple[Sampled, Sampled]
 
 
 def check_candidates(names: Sequence[str], *, landmarks: bool = False) -> tuple[str, ...]:
@@ -70,6 +83,8 @@ def check_candidates(names: Sequence[str], *, landmarks: bool = False) -> tuple[
     unknown = [name for name in names if name not in known]
     if unknown or not names:
         raise InputError(f"Candidates are {', '.join(known)}; got {', '.join(unknown) or 'none'}.")
+    if set(names) == {REGISTERED}:
+        raise InputError(f"The candidate '{REGISTERED}' starts from others; add some beside it.")
     return tuple(dict.fromkeys(names))
 
 
@@ -102,8 +117,8 @@ def chosen(
     if names is None:
         names = tuple(CANDIDATES if landmarks is None else LANDMARK_CANDIDATES)
     names = check_candidates(names, landmarks=landmarks is not None)
-    shapes = side_by_side(sampled, (source, target))
-    descriptors = pair_descriptors(shapes[0], shapes[1])
+    shapes = _both_sampled(source, target)
+    descriptors = pair_descriptors(*shapes)
     rows = {"embedding": (source.embedded, target.embedded), "descriptors": descriptors}
     found: list[tuple[Candidate, Evidence]] = []
     for name in names:
@@ -122,7 +137,39 @@ def chosen(
             found += _judged(_extrinsic(shapes, alignment, rows, names), shapes, descriptors)
     costs = {candidate.name: cost(each) for candidate, each in found}
     best = min(found, key=lambda each: costs[each[0].name])
-    return Choice(*best, costs, doubtful)
+    return Choice(*best, costs, doubtful, tuple(found), shapes)
+
+
+def elastic(choice: Choice) -> Choice:
+    """The choice, or a registered candidate in its place where none is sure.
+
+    Each candidate is registered, see `esd.matching.registered`; the best of the results is refined
+    coarsely and registered once more. Shapes that are no oriented manifolds cannot be.
+    """
+    if accuracy(choice.evidence) >= _SURE:
+        return choice
+    source, target = side_by_side(coarse, choice.shapes)
+    if source is None or target is None:
+        return choice
+    descriptors = pair_descriptors(*choice.shapes)
+    embeddings = choice.shapes[0].features.embedded, choice.shapes[1].features.embedded
+    starts = [each for each, _ in choice.computed]
+    made = side_by_side(lambda start: registered(source, target, start), starts)
+    found = _judged(made, choice.shapes, descriptors)
+    best = min(found, key=lambda each: cost(each[1]))[0]
+    refined = smoothed(*choice.shapes, with_embeddings(best, embeddings))
+    found += _judged([registered(source, target, refined)], choice.shapes, descriptors)
+    best, its_evidence = min(found, key=lambda each: cost(each[1]))
+    costs = choice.costs | {REGISTERED: cost(its_evidence)}
+    choice = replace(choice, costs=costs, computed=(*choice.computed, *found))
+    if costs[REGISTERED] > min(costs.values()):
+        return choice
+    return replace(choice, candidate=with_embeddings(best, embeddings), evidence=its_evidence)
+
+
+def _both_sampled(source: Features, target: Features) -> tuple[Sampled, Sampled]:
+    here, there = side_by_side(sampled, (source, target))
+    return here, there
 
 
 def chained(source: Features, target: Features, by_way: IntArray) -> Choice:
@@ -141,8 +188,8 @@ def chained(source: Features, target: Features, by_way: IntArray) -> Choice:
     known = np.flatnonzero(by_way >= 0)
     if len(known) == 0:
         raise InputError("A map to be refined has no match.")
-    shapes = side_by_side(sampled, (source, target))
-    descriptors = pair_descriptors(shapes[0], shapes[1])
+    shapes = _both_sampled(source, target)
+    descriptors = pair_descriptors(*shapes)
     here, there = (shape.posed.sample for shape in shapes)
     # the image of each sample of the source, by the nearest vertex that has one
     points = shapes[0].points
@@ -156,9 +203,10 @@ def chained(source: Features, target: Features, by_way: IntArray) -> Choice:
     candidate = spectral_candidate(
         CHAIN, shapes[0], shapes[1], embeddings, start=start, sizes=FROM_POSE
     )
-    ((_, found),) = _judged([candidate], shapes, descriptors)
+    judged = _judged([candidate], shapes, descriptors)
+    found = judged[0][1]
     nothing: IntArray = np.zeros(0, dtype=np.int64)
-    return Choice(candidate, found, {CHAIN: cost(found)}, nothing)
+    return Choice(candidate, found, {CHAIN: cost(found)}, nothing, tuple(judged), shapes)
 
 
 def _by_landmarks(

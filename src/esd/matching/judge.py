@@ -93,16 +93,16 @@ _OFFSETS = (
 )
 
 
-# weights of `Evidence.vector`, of the cost and of the logit of the accuracy
+# weights of `Evidence.vector`, of the cost and of the logit of the accuracy: benchmarks/judge.py
 _COST = (
-    *(-0.132, -0.256, 3.776, 0.098, -0.015, -1.132, 0.485, -0.264, 0.479, -2.194),
-    *(1.849, 2.562, 2.774, 0.006, 0.821),
+    *(0.882, -0.298, 4.169, 0.207, 1.939, 0.521, 0.653, -0.02, 0.034, -3.198),
+    *(1.292, 3.952, 3.314, -0.114, -0.357),
 )
 _ACCURACY = (
-    *(-0.009, 0.15, 0.995, -0.871, 1.778, 1.337, -0.574, -1.765, 0.498, 2.547),
-    *(-0.218, -1.05, -2.462, -0.59, 0.697),
+    *(-1.04, 0.091, 2.143, -1.402, 2.308, 1.814, -1.234, 0.672, 1.176, 0.275),
+    *(-1.82, -1.008, -2.257, 0.425, 1.125),
 )
-_ACCURACY_CONSTANT = -14.514
+_ACCURACY_CONSTANT = -6.381
 
 
 def evidence(source: Sampled, target: Sampled, candidate: Candidate, descriptors: Rows) -> Evidence:

@@ -14,8 +14,8 @@ import numpy as np
 from esd.common import BoolArray, FloatArray, InputError, IntArray
 from esd.learning.model import Model, load_model
 from esd.matching.assignment import one_to_one as assignment
-from esd.matching.candidates import Candidate, Rows
-from esd.matching.choice import Choice, chained, check_candidates, chosen
+from esd.matching.candidates import CANDIDATES, Candidate, Rows
+from esd.matching.choice import Choice, chained, check_candidates, chosen, elastic
 from esd.matching.confidence import Adaptation, Overlap, confidence, judgement
 from esd.matching.correspondence import Correspondence
 from esd.matching.features import Features, reflected, shape_features
@@ -25,6 +25,7 @@ from esd.matching.local_refine import Level, levels, local_zoomout
 from esd.matching.partial import PartMap, consistent_share
 from esd.matching.parts import MISFITS, Scale, best_part_map
 from esd.matching.refine import SIZES, joint_rows, mean_squared_distance
+from esd.matching.registered import REGISTERED
 from esd.mesh.convert import MeshLike
 from esd.mesh.geometry import is_referenced
 from esd.mesh.mesh import Mesh, PointCloud
@@ -50,8 +51,10 @@ Mirror: TypeAlias = Literal["auto", "yes", "no"]
 _PART = "part"  # of `CANDIDATES`
 _COUNTERPART = 0.5  # probability of a counterpart beyond which a vertex is matched
 _AS_CONSISTENT = 0.02  # share by which maps between parts may be less consistent than others
+_WHOLE = 0.95  # expected accuracy of a map between shapes of which nothing seems to be missing
+_LEFT = 0.02  # sum of the shares that are lost there and back, and uncovered, where that is so
 _SURE = 0.9  # expected accuracy beyond which a mirror image is not tried
-_CLEARLY = 5.0  # least difference of costs by which a mirror image is taken; hands have 8 or more
+_CLEARLY = 6.3  # least difference of costs by which a mirror image is taken; hands have 8 or more
 _SYMMETRIC = 0.85  # expected accuracy of the map from the mirror image of a shape to itself, beyond
 # which it has two like sides; people, skulls and most animals have 0.9 or more, hands 0.7
 _BACK_SIZES = (60, 160)  # of the map back, which only serves to judge the map
@@ -270,22 +273,35 @@ def match_features(
     if by_way is not None and is_mesh:
         choice = chained(source, target, _on_shapes(by_way, source, target))
     elif is_mesh and (refine or candidates or landmarks is not None or mirror == "yes"):
-        if mirror != "yes" and (candidates is None or _PART in candidates):
-            parts = best_part_map(
-                source, target, model=model, scale=scale, landmarks=landmarks, cache=cache
-            )
+        names = others or None
+        plain = None
+        if mirror != "yes":
+            plain = chosen(source, target, names=names, landmarks=landmarks)
+            is_asked = others == () or (_PART in (candidates or CANDIDATES) and not _fits(plain))
+            if is_asked:
+                parts = best_part_map(
+                    source, target, model=model, scale=scale, landmarks=landmarks, cache=cache
+                )
         if parts is None and others == ():
             raise InputError(
                 "The candidate 'part' needs a mesh with a cut or large holes, and an orientation "
                 "that is not mirrored; add others beside it."
             )
-        if parts is not None and parts.consistent > MISFITS:
-            mirror = "no"  # what is missing makes mirror images look as good
+        # what is missing makes mirror images look as good
+        are_parts = parts is not None and parts.consistent > MISFITS
         choice, mirrored = _mirror_chosen(
-            source, target, model=model, names=others or None, landmarks=landmarks, mirror=mirror
+            source,
+            target,
+            plain,
+            model=model,
+            names=names,
+            landmarks=landmarks,
+            mirror="no" if are_parts else mirror,
         )
         if mirrored is not None:
             source, is_mirrored, parts = mirrored, True, None
+        if not are_parts and REGISTERED in (names or CANDIDATES):
+            choice = elastic(choice)
     elif landmarks is not None or mirror == "yes":
         raise InputError("Landmarks and mirror images need meshes; these are points.")
     if choice is not None:
@@ -366,19 +382,30 @@ def _on_shapes(index: IntArray, source: Features, target: Features) -> IntArray:
     return result
 
 
+def _fits(choice: Choice) -> bool:
+    """Whether a map between two shapes leaves nothing of either without a counterpart."""
+    left = choice.evidence.lost + choice.evidence.uncovered
+    return accuracy(choice.evidence) >= _WHOLE and left < _LEFT
+
+
 def _mirror_chosen(
     source: Features,
     target: Features,
+    plain: Choice | None,
     *,
     model: Model,
     names: Sequence[str] | None,
     landmarks: IntArray | None,
     mirror: Mirror,
 ) -> tuple[Choice, Features | None]:
-    """The best candidate for the source or its mirror image, and that image where it is for it."""
-    plain = None
-    if mirror != "yes":
-        plain = chosen(source, target, names=names, landmarks=landmarks)
+    """The best candidate for the source or its mirror image, and that image where it is for it.
+
+    Parameters
+    ----------
+    plain
+        The best for the source itself; None if it is to be mirrored.
+    """
+    if plain is not None:
         sure = accuracy(plain.evidence) >= _SURE
         if mirror == "no" or sure or not model.is_pointwise:
             return plain, None
