@@ -105,7 +105,7 @@ def test_touching_pieces_of_a_body_are_matched_together():
         parts.append(Mesh(source.vertices[used] + [0, 0, 0.01 * band], faces.reshape(-1, 3)))
         index.append(used)
     torn, original = joined(*parts), np.concatenate(index)
-    found = match(torn, target)
+    found = match(torn, target, candidates=["embedding"])
     assert found.is_matched().all()
     assert found.judgement.verdict == "good"
     gap = target.vertices[found.target_index] - target.vertices[original]

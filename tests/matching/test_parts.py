@@ -61,7 +61,8 @@ def features(mesh: Mesh) -> Features:
 
 def test_a_part_is_matched_to_a_whole_of_another_person():
     whole, points = body("s11_p02")
-    found = match(rotated(cut().mesh, 1), rotated(whole, 2), cache=default_cache())
+    shapes = rotated(cut().mesh, 1), rotated(whole, 2)
+    found = match(*shapes, candidates=["embedding", "part"], cache=default_cache())
     assert found.judgement.candidate == "part"
     assert found.judgement.verdict in ("good", "doubtful")  # the meshes are coarse
     assert found.judgement.expected_accuracy > 0.8
