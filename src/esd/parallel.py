@@ -327,14 +327,14 @@ def _handed_out(
                 return
             now = time.monotonic()
             alone_since = math.inf if count else min(alone_since, now)
+            if now - alone_since > min(_SILENCE, patience) and not is_reported:
+                is_reported = True
+                _log.warning("The scheduler has no workers yet; waiting for some.")
             if now - alone_since > patience:
                 raise InputError(
                     f"The scheduler has had no workers for {patience:g} s. Start some by `dask "
                     "worker ADDRESS`, or wait longer with --patience SECONDS."
                 )
-            if now - alone_since > min(_SILENCE, patience) and not is_reported:
-                is_reported = True
-                _log.warning("The scheduler has no workers yet; waiting for some.")
             timeout = None if patience == math.inf else min(1.0, patience)
             for future in wait(running, timeout, return_when=FIRST_COMPLETED).done:
                 job = running.pop(future)
