@@ -116,6 +116,32 @@ def test_validation_keeps_the_best_weights_and_ends_a_training_that_learns_no_mo
     assert model.card["validation_loss"] == model.card["curve"][0][2]
 
 
+def test_a_training_starts_from_a_model(two, tmp_path):
+    start = train_on_parts(replace(two, shapes=two.shapes[:1]), TRAINING, name="s")
+    still = replace(TRAINING, learning_rate=1e-30, steps=1)
+    model = train_on_parts(two, still, start=start)
+    assert_equal_models(model, start)  # its weights, and its standardisation
+    assert model.card["start"] == "s"
+    path = tmp_path / "m.checkpoint"
+
+    def interrupt(progress):
+        if progress.step == 4:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train_on_parts(two, TRAINING, start=start, checkpoint=path, on_progress=interrupt)
+    with pytest.raises(InputError, match="belongs to another training"):
+        train_on_parts(two, TRAINING, checkpoint=path)
+
+
+def test_a_training_does_not_start_from_another_network(two):
+    start = train_on_parts(two, replace(TRAINING, steps=1, outputs=4), name="s")
+    with pytest.raises(InputError, match="cannot start from 's': its descriptors or its layers"):
+        train_on_parts(two, TRAINING, start=start)
+    with pytest.raises(InputError, match="cannot start from 'oriented'"):
+        train_on_parts(two, TRAINING, start=load_model("default"))
+
+
 def test_models_of_parts_come_back_as_they_were_trained(two, blob, tmp_path):
     model = fit(two, replace(TRAINING, standardise=False), name="m")
     assert (model.mean == 0).all()

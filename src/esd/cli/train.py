@@ -58,7 +58,8 @@ def train(
         str | None,
         typer.Option(
             metavar="MODEL",
-            help="Model to start from, such as 'default'; without correspondences only.",
+            help="Model to start from, such as 'default'; without correspondences, or of the "
+            "preset 'partial'.",
         ),
     ] = None,
     force: ForceOption = False,
@@ -105,10 +106,12 @@ def train(
             f"'{dataset}' has no correspondences, which the preset '{preset}' needs: add them as "
             "'corres/NAME.vts', or take the preset 'oriented', which learns without."
         )
-    elif start is not None:
-        raise typer.BadParameter("--start is for shapes without correspondences.")
+    elif start is not None and not training.blocks:
+        raise typer.BadParameter(
+            "--start is for shapes without correspondences, and for the preset 'partial'."
+        )
     else:
-        model = _supervised(chosen, held, training, output, seed=seed, device=device)
+        model = _supervised(chosen, held, training, output, seed=seed, start=start, device=device)
     save_model(model, output)
     tell(f"trained {model.card['steps_done']} steps on {len(chosen.shapes)} shapes: {output}")
     if "verdicts" in model.card:
@@ -126,13 +129,16 @@ def _supervised(
     output: Path,
     *,
     seed: int,
+    start: str | None,
     device: str,
 ) -> Model:
     from esd.cli.progress import progress
     from esd.learning.fit import fit
+    from esd.learning.model import load_model
     from esd.parallel import EVERY_CORE
     from esd.spectral.cache import default_cache
 
+    first = None if start is None else load_model(start)
     with_copies = len(chosen.shapes) * (1 + training.remeshings)
     shapes = 0 if chosen.store else with_copies + (len(held.shapes) if held else 0)
     with (
@@ -145,6 +151,7 @@ def _supervised(
             name=output.name,
             seed=seed,
             validation=held,
+            start=first,
             checkpoint=_checkpoint(output),
             device=device,
             workers=EVERY_CORE,

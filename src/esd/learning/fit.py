@@ -30,6 +30,7 @@ def fit(
     name: str = "model",
     seed: int = 0,
     validation: Collection | None = None,
+    start: Model | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
     device: str = "cpu",
     workers: Workers = THIS_PROCESS,
@@ -41,7 +42,7 @@ def fit(
 
     By `osd`, by `esd.learning.part_training.train_on_parts` where the training has blocks, or by
     `esd.learning.train.train`. Only the first does without torch; all parameters, and the errors
-    raised, are those of the others.
+    raised, are those of the others. Only the second starts from a model.
     """
     if training.loss == "osd":
         return osd(
@@ -63,6 +64,7 @@ def fit(
             name=name,
             seed=seed,
             validation=validation,
+            start=start,
             checkpoint=checkpoint,
             device=device,
             workers=workers,

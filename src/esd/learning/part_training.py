@@ -55,6 +55,7 @@ _NEAR = 0.03  # distance, in √area, below which points are no negatives of eac
 _WEIGHT_DECAY = 1e-3
 _LARGEST_NORM = 1.0  # of the gradient of all weights
 _WARM_UP = 100  # steps in which the learning rate rises
+_START_RATE = 0.5  # of the learning rate, where a training starts from a model
 _LAST_RATE = 0.02  # of the learning rate, at the end of its cosine
 _VALIDATION_PAIRS = 20
 _LARGEST_SEED = 2**32 - 1
@@ -104,6 +105,7 @@ def train_on_parts(
     name: str = "model",
     seed: int = 0,
     validation: Collection | None = None,
+    start: Model | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
     device: str = "cpu",
     workers: Workers = THIS_PROCESS,
@@ -134,6 +136,9 @@ def train_on_parts(
     validation
         Shapes of other subjects. Given these, the weights with the lowest loss on parts of them
         are kept, and training stops when it has not fallen at ten validations.
+    start
+        A model of the same descriptors and network from whose weights the training starts, at half
+        the learning rate; its standardisation is kept.
     checkpoint
         A file from which an interrupted training resumes, and which is removed at its end.
     device
@@ -146,9 +151,9 @@ def train_on_parts(
     Raises
     ------
     InputError
-        If the training has no blocks, the collection is a store, shapes cannot be described, no
-        two parts have enough points in common, the checkpoint belongs to another training, or
-        torch has no such device.
+        If the training has no blocks, the start does not fit it, the collection is a store, shapes
+        cannot be described, no two parts have enough points in common, the checkpoint belongs to
+        another training, or torch has no such device.
     """
     if not training.blocks or len(training.hidden) != 2 or not training.recipe.is_of_parts:
         raise InputError(
@@ -163,6 +168,9 @@ def train_on_parts(
         )
     if not 0 <= seed <= _LARGEST_SEED:
         raise InputError(f"`seed` must be from 0 to {_LARGEST_SEED}; got {seed}.")
+    if start is not None:
+        _check_start(start, training)
+        training = replace(training, learning_rate=_START_RATE * training.learning_rate)
     place = torch.device(usable_device(device))
     path = None if checkpoint is None else Path(checkpoint)
     with _folder(path, workers) as folder:
@@ -175,15 +183,18 @@ def train_on_parts(
             on_shape=on_shape,
         )
         data = described(collection)
-        if not training.standardise:
+        if start is not None:
+            data = replace(data, mean=start.mean, deviation=start.deviation)
+        elif not training.standardise:
             width = training.recipe.width
             data = replace(data, mean=np.zeros(width), deviation=np.ones(width))
         held: tuple[_Pair, ...] = ()
         if validation is not None:
             parts = described(validation).parts
             held = tuple(_draw(parts, training, _LARGEST_SEED, i) for i in range(_VALIDATION_PAIRS))
-        run = _start(training, seed, place)
-        _run_to_the_end(run, data, held, training, seed, path, on_progress)
+        run = _first_run(training, seed, place, start)
+        identity = _identity(data, held, training, seed, start)
+        _run_to_the_end(run, data, held, training, seed, path, identity, on_progress)
         weights = [*run.network.parameters()] if validation is None else run.best_weights
         with torch.no_grad():
             for parameter, best in zip(run.network.parameters(), weights, strict=True):
@@ -196,8 +207,29 @@ def train_on_parts(
         limit=training.limit,
         unit_length=True,
         diffusion=diffusion_network(run.network.arrays(), inputs=training.recipe.width),
-        card=_card(collection, validation, training, seed, run, len(data.parts)),
+        card={
+            **_card(collection, validation, training, seed, run, len(data.parts)),
+            "start": None if start is None else start.name,
+        },
     )
+
+
+def _check_start(start: Model, training: Training) -> None:
+    """Raise an `InputError` unless a training can start from a model."""
+    wanted = seeded_layers(*_sizes(training), seed=0).arrays()
+    weights = {} if start.diffusion is None else start.diffusion.weights
+    shapes, needed = ({n: array.shape for n, array in each.items()} for each in (weights, wanted))
+    if start.recipe.to_json() != training.recipe.to_json() or shapes != needed:
+        raise InputError(
+            f"The training cannot start from '{start.name}': its descriptors or its layers differ "
+            "from the preset's. Start from 'partial', or from a model of the same preset."
+        )
+
+
+def _sizes(training: Training) -> tuple[int, int, int, int, int]:
+    """Inputs, the two layers, outputs, and blocks of the network."""
+    hidden, width = training.hidden
+    return training.recipe.width, hidden, width, training.outputs, training.blocks
 
 
 @contextmanager
@@ -344,11 +376,14 @@ def _draw(parts: tuple[_Part, ...], training: Training, seed: int, number: int) 
     )
 
 
-def _start(training: Training, seed: int, device: torch.device) -> Run[DiffusionLayers]:
-    hidden, width = training.hidden
-    network = seeded_layers(
-        training.recipe.width, hidden, width, training.outputs, training.blocks, seed=seed
-    ).to(device)
+def _first_run(
+    training: Training, seed: int, device: torch.device, start: Model | None
+) -> Run[DiffusionLayers]:
+    network = seeded_layers(*_sizes(training), seed=seed)
+    if start is not None and start.diffusion is not None:
+        weights = start.diffusion.weights.items()
+        network.load_state_dict({name: torch.from_numpy(array.copy()) for name, array in weights})
+    network = network.to(device)
     optimiser = adam_with_moments(network, rate=training.learning_rate, weight_decay=_WEIGHT_DECAY)
     return first_run(network, optimiser)
 
@@ -360,10 +395,10 @@ def _run_to_the_end(
     training: Training,
     seed: int,
     checkpoint: Path | None,
+    identity: str,
     on_progress: Callable[[Progress], None],
 ) -> None:
     """All steps from those that the checkpoint has, until the last or the validation's patience."""
-    identity = _identity(data, held, training, seed)
     if checkpoint is not None and checkpoint.exists():
         run.resume(checkpoint, identity=identity)
     losses: list[float] = []
@@ -467,14 +502,22 @@ def _read(
     return values.nan_to_num(), surface, torch.from_numpy(arrays["positions"]).to(device)
 
 
-def _identity(data: _Parts, held: tuple[_Pair, ...], training: Training, seed: int) -> str:
+def _identity(
+    data: _Parts,
+    held: tuple[_Pair, ...],
+    training: Training,
+    seed: int,
+    start: Model | None,
+) -> str:
     """What a training depends on; a checkpoint is resumed only by the same."""
     # the names of the files have keys of all that is in them
     names = [part.path.name for part in data.parts]
     names += [part.path.name for pair in held for part in (pair.source, pair.target)]
+    first = {} if start is None or start.diffusion is None else start.diffusion.weights
     return content_key(
-        "training on parts 1",
+        "training on parts 2",
         np.array(names),
+        *(first[name] for name in sorted(first)),
         *(pair.points for pair in held),
         training=asdict(training),
         seed=seed,
