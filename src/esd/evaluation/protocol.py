@@ -293,6 +293,7 @@ def evaluate(
             refine=refine,
             candidates=candidates,
             threshold=threshold,
+            cache=cache,
         )
         groups = ((places[name], group) for name, group in sources.items())
         for matched in outcomes(work, groups, workers=workers):
@@ -365,12 +366,18 @@ def _errors_on_target(
     refine: bool | None,
     candidates: Sequence[str] | None,
     threshold: float,
+    cache: Cache | None,
 ) -> list[PairErrors]:
     """Errors of the maps from several sources to one target."""
     target, sources = _load(job[0]), [_load(place) for place in job[1]]
     maps = [
         match_features(
-            source.features, target.features, model=model, refine=refine, candidates=candidates
+            source.features,
+            target.features,
+            model=model,
+            refine=refine,
+            candidates=candidates,
+            cache=cache,
         ).rejecting(threshold)
         for source in sources
     ]
