@@ -328,7 +328,7 @@ def match_features(
         found = with_similarity(*embeddings, index, margin=None)
         has_counterpart, right = parts.probabilities()
         kept = has_counterpart > _COUNTERPART
-        found = _judged_parts(found, parts, kept, right, source, target)
+        found = _judged_parts(found, parts, has_counterpart, right, source, target)
     if found.judgement is not None:
         found = replace(
             found,
@@ -500,19 +500,23 @@ def _fits_better(parts: PartMap, maps: _Maps, expected: float) -> bool:
 def _judged_parts(
     match: Correspondence,
     parts: PartMap,
-    kept: BoolArray,
+    has_counterpart: FloatArray,
     right: FloatArray,
     source: Features,
     target: Features,
 ) -> Correspondence:
-    """A map between parts with its confidence and a judgement of the vertices that are kept."""
-    kept = kept & (match.target_index >= 0)
+    """A map between parts with its confidence and a judgement of the vertices that are matched.
+
+    Those that have a counterpart, and are not matched, count as wrong.
+    """
+    kept = (has_counterpart > _COUNTERPART) & (match.target_index >= 0)
     values = np.where(kept, right, 0.0)
+    found = has_counterpart[kept].sum() / max(has_counterpart.sum(), np.finfo(float).tiny)
     verdict = judgement(
         parts.source.mesh,
         parts.target.mesh,
         np.where(kept, match.target_index, -1),
-        values,
+        found * values,
         counted=kept,
         turned_over=source.is_turned != target.is_turned,
         unmatched=source.lost,

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TypeAlias
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -13,8 +13,10 @@ from scipy.spatial import KDTree
 from esd.common import FloatArray, IntArray
 from esd.descriptors.recipe import recipe_spectrum, spectrum_descriptors
 from esd.learning.model import Model
+from esd.matching.anchors import Anchors, agreement, anchor_rows, anchors
 from esd.matching.candidates import Rows
 from esd.matching.landmarks import landmark_rows
+from esd.mesh.geodesics import geodesic_graph
 from esd.mesh.geometry import (
     adjacency,
     edge_lengths,
@@ -29,20 +31,25 @@ from esd.mesh.mesh import Mesh
 from esd.mesh.sampling import spread
 from esd.mesh.topology import boundary_edges
 from esd.nearest import nearest
-from esd.parallel import side_by_side
 from esd.spectral.cache import Cache
 from esd.spectral.spectrum import Spectrum
 
 _SAMPLES = 1500  # at which maps are refined
+_WAYS = 300  # samples from which distances along the surface are known
+_ANCHORS = 150  # of these, on the source
+_SUPPORTED = 0.6  # support of those anchors that are used
+_BEYOND = 10.0  # distance, in √area of the whole, of what is not connected
 _SIZES = (6, 6, 6, 10, 10, 10, 16, 24, 36, 54, 80, 110)  # target's functions, step by step
 _MORE = 2  # source's functions beyond its share of the target's area
 _WEIGHT = 2.5  # of embeddings beside functions: matched rows are as far apart in both, times this
+_ANCHOR_WEIGHT = 2.0  # of rows of anchors beside embeddings, which have unit length
 _LANDMARK_WEIGHT = 1.5  # of rows of landmarks beside embeddings, which have unit length
 _RIDGE = 1e-3
 _REWEIGHTINGS = 6
 
+_REFINED = 0.2  # consistent share that a refined map may lose
+
 _NEAR = 0.04  # in √area of the whole, within which a way there and back returns
-_LEAST = 1e-6  # area of the whole, below which nothing is measured
 _STRETCH = 2.5  # times their length, beyond which the image of an edge is torn
 
 _RINGS = 8  # of edges around a vertex, over which what speaks for a counterpart is averaged
@@ -50,9 +57,10 @@ _LOST = 0.5  # in √area of the whole, at which ways there and back are cut off
 _INSIDE = 0.3  # the same of distances to a boundary
 _OFFSETS = np.array([0.01, 0.05, 0.01, 0.01])  # of the logarithms
 # constant and weights of `_evidence`: for having a counterpart, and for being matched rightly
-_COUNTERPART = (1.18, -1.52, -1.56, 0.84, 0.81, 0.02)
-_RIGHT = (0.78, -1.53, -1.8, 1.13, 0.26, -0.6)
-_OF_SHARE = 3.5  # weight of the logarithm of the consistent share, for being matched rightly
+_COUNTERPART = (-2.59, -0.24, -1.35, 0.0, 0.19, -0.5, 4.07)
+_RIGHT = (0.11, 0.0, -1.15, 0.0, 0.0, -0.26, 1.86)
+_OF_CLOSED = 2.84  # for having a counterpart, where the target is closed
+_OF_SHARE = 2.91  # weight of the logarithm of the consistent share, for being matched rightly
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,6 +79,8 @@ class Part:
         Its vertices, in units of √area of the whole.
     sample : (s,)
         Vertices spread over it.
+    ways : (w, n)
+        Distances along the surface from the first of these, in units of √area of the whole.
     """
 
     mesh: Mesh
@@ -78,23 +88,44 @@ class Part:
     embedded: FloatArray
     points: npt.NDArray[np.float64]
     sample: IntArray
+    ways: FloatArray
 
 
-def part(mesh: Mesh, whole_area: float, *, model: Model, cache: Cache | None = None) -> Part:
+def part(
+    mesh: Mesh,
+    whole_area: float,
+    *,
+    model: Model,
+    known: Part | None = None,
+    cache: Cache | None = None,
+) -> Part:
     """A mesh as a part of a whole of some area, by a model of parts.
+
+    Parameters
+    ----------
+    known
+        The same mesh as a part of a whole of another area, of which is taken what does not depend
+        on that.
 
     Raises
     ------
     InputError
         If the mesh cannot be described.
     """
-    spectrum = recipe_spectrum(model.recipe, mesh, cache=cache)
+    unit = 1 / np.sqrt(whole_area)
+    if known is None:
+        spectrum = recipe_spectrum(model.recipe, mesh, cache=cache)
+        used = np.flatnonzero(is_referenced(mesh))
+        sample = used[spread(mesh.vertices[used], _SAMPLES)]
+        ways = unit * geodesic_graph(mesh).distances(sample[:_WAYS]).astype(np.float32)
+    else:
+        spectrum, sample = known.spectrum, known.sample
+        ways = known.ways * np.float32(unit * np.sqrt(surface_area(mesh) / spectrum.area))
+    ways = np.minimum(ways, _BEYOND)
     spectrum = spectrum.with_area(surface_area(mesh) / whole_area)
     values = spectrum_descriptors(model.recipe, mesh, spectrum, single=True, cache=cache)
     embedded = model.embed(values, model.operator(mesh, spectrum, cache=cache))
-    points = mesh.vertices / np.sqrt(whole_area)
-    used = np.flatnonzero(is_referenced(mesh))
-    return Part(mesh, spectrum, embedded, points, used[spread(points[used], _SAMPLES)])
+    return Part(mesh, spectrum, embedded, unit * mesh.vertices, sample, ways)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,10 +140,10 @@ class PartMap:
         The nearest vertex of the other; -1 at vertices without a face.
     rows
         Whose nearest `forward` is.
+    anchors
+        Samples that correspond, whose distances the rows have.
     consistent
         See `consistent_share`.
-    enlargement
-        Area of the images of what is mapped consistently, over its area.
     """
 
     source: Part
@@ -120,8 +151,8 @@ class PartMap:
     forward: IntArray
     backward: IntArray
     rows: Rows
+    anchors: Anchors
     consistent: float
-    enlargement: float
 
     @property
     def scale(self) -> float:
@@ -139,10 +170,11 @@ class PartMap:
         to parts of people that the model was not trained on.
         """
         evidence = _evidence(self)
-        offset = _OF_SHARE * np.log(self.consistent + 0.1)
+        is_closed = len(boundary_edges(self.target.mesh)) == 0
+        offsets = _OF_CLOSED * is_closed, _OF_SHARE * np.log(self.consistent + 0.1)
         logits = [
-            constant + evidence @ np.array(weights)
-            for constant, *weights in (_COUNTERPART, (_RIGHT[0] + offset, *_RIGHT[1:]))
+            constant + offset + evidence @ np.array(weights)
+            for offset, (constant, *weights) in zip(offsets, (_COUNTERPART, _RIGHT), strict=True)
         ]
         has, right = (
             np.where(self.forward >= 0, 1 / (1 + np.exp(-logit)), 0.0) for logit in logits
@@ -151,32 +183,46 @@ class PartMap:
 
 
 def part_map(source: Part, target: Part, *, landmarks: IntArray | None = None) -> PartMap:
-    """The map between parts, and the one back, refined where they fit.
+    """The map between parts, and the one back, by embeddings and distances from `anchors`.
 
     Parameters
     ----------
     landmarks : (l, 2)
         Vertices of both that correspond.
     """
-    rows = [source.embedded, target.embedded]
+    rows = (source.embedded, target.embedded)
     if landmarks is not None:
-        rows = [
-            np.hstack([each.embedded, _LANDMARK_WEIGHT * landmark_rows(each.mesh, ends)])
+        given = (
+            landmark_rows(each.mesh, ends)
             for each, ends in zip((source, target), landmarks.T, strict=True)
-        ]
+        )
+        rows = _beside(rows, given, _LANDMARK_WEIGHT)
+    here, there = source.sample[:_ANCHORS], target.sample[: len(target.ways)]
+    # in a unit that does not depend on the size of the whole, so that sizes can be compared
+    unit = np.float32(1 / np.sqrt(max(source.spectrum.area, target.spectrum.area)))
+    found = anchors(
+        rows[0][here] @ rows[1][there].T,
+        unit * source.ways[: len(here)][:, here],
+        unit * target.ways[:, there],
+    )
+    used = found.support > _SUPPORTED
+    ways = source.ways[found.source[used]], target.ways[found.target[used]]
+    rows = _beside(rows, map(anchor_rows, ways), _ANCHOR_WEIGHT)
+    forward, backward = nearest(*rows)[0], nearest(*rows[::-1])[0]
+    share = consistent_share(source, target, forward, backward)
+    return PartMap(source, target, forward, backward, rows, found, share)
 
-    def refined(is_forward: bool) -> tuple[IntArray, Rows]:
-        if is_forward:
-            return _refined(source, target, (rows[0], rows[1]))
-        return _refined(target, source, (rows[1], rows[0]))
 
-    (forward, nearest_rows), (backward, _) = side_by_side(refined, (True, False))
-    areas = _consistent_areas(source, target, forward, backward)
-    share = _share(source, target, areas)
-    here, there = np.maximum(areas, _LEAST)  # each of faces and of images
-    # the image is in the target for the source's faces, and in the source for the target's
-    enlargement = float(np.sqrt(here[1] / here[0] * there[0] / there[1]))
-    return PartMap(source, target, forward, backward, nearest_rows, share, enlargement)
+def refined_part_map(found: PartMap) -> PartMap:
+    """The map refined by eigenfunctions, or as it is if that makes it much less consistent.
+
+    The refinement takes the source for a part of the target, and may lose what two parts share.
+    """
+    forward, rows = _refined(found.source, found.target, found.rows)
+    share = consistent_share(found.source, found.target, forward, found.backward)
+    if share < found.consistent - _REFINED:
+        return found
+    return replace(found, forward=forward, rows=rows, consistent=share)
 
 
 def _refined(source: Part, target: Part, embeddings: Rows) -> tuple[IntArray, Rows]:
@@ -201,10 +247,7 @@ def _refined(source: Part, target: Part, embeddings: Rows) -> tuple[IntArray, Ro
         fitted, misfit = _fitted(here[sample, :own], there[index, :size])
         apart = np.linalg.norm(at_sample - embeddings[1][index], axis=1)
         weight = _WEIGHT * np.median(misfit) / max(float(np.median(apart)), 1e-6)
-        rows = (
-            _beside(here[:, :own] @ fitted, weight * embeddings[0]),
-            _beside(there[:, :size], weight * embeddings[1]),
-        )
+        rows = _beside((here[:, :own] @ fitted, there[:, :size]), embeddings, weight)
         index, _ = nearest(rows[0][sample], rows[1])
     return nearest(*rows)[0], rows
 
@@ -221,8 +264,13 @@ def _fitted(basis: FloatArray, wanted: FloatArray) -> tuple[FloatArray, FloatArr
     return found, misfit
 
 
-def _beside(first: FloatArray, second: FloatArray) -> FloatArray:
-    return np.hstack([first, second]).astype(np.float32)
+def _beside(first: Rows, second: Iterable[FloatArray], weight: float) -> Rows:
+    """Rows of both shapes, each with others beside it."""
+    source, target = (
+        np.hstack([one, weight * other]).astype(np.float32)
+        for one, other in zip(first, second, strict=True)
+    )
+    return source, target
 
 
 def consistent_share(source: Part, target: Part, forward: IntArray, backward: IntArray) -> float:
@@ -232,28 +280,18 @@ def consistent_share(source: Part, target: Part, forward: IntArray, backward: In
     which keep their orientation; each counts as the smaller of its area and that of its image.
     The smaller of what that is on either shape.
     """
-    return _share(source, target, _consistent_areas(source, target, forward, backward))
-
-
-_Areas: TypeAlias = tuple[tuple[float, float], tuple[float, float]]
-
-
-def _share(source: Part, target: Part, areas: _Areas) -> float:
     # images of single faces are rough: a coarser target gives none for many, and more for others
-    return min(map(min, areas)) / min(source.spectrum.area, target.spectrum.area)
-
-
-def _consistent_areas(source: Part, target: Part, forward: IntArray, backward: IntArray) -> _Areas:
-    """Areas of the faces that count, and of their images, of the source and of the target."""
-    return (
-        _consistent_area(source, target, forward, backward),
-        _consistent_area(target, source, backward, forward),
+    areas = (
+        *_consistent_area(source, target, forward, backward),
+        *_consistent_area(target, source, backward, forward),
     )
+    return min(areas) / min(source.spectrum.area, target.spectrum.area)
 
 
 def _consistent_area(
     here: Part, there: Part, index: IntArray, back: IntArray
 ) -> tuple[float, float]:
+    """Area of the faces that count, and of their images."""
     faces = here.mesh.faces
     image = index[faces]
     matched = (image >= 0).all(axis=1)
@@ -278,11 +316,11 @@ def _missed_by(each: Part, index: IntArray, back: IntArray) -> FloatArray:
 
 
 def _evidence(found: PartMap) -> FloatArray:
-    """What speaks for a counterpart of each source vertex, (n, 5), averaged around it.
+    """What speaks for a counterpart of each source vertex, (n, 6), averaged around it.
 
     Logarithms of: by how far going there and back misses; the distance of the matched embeddings;
     by how far going back and there misses the match; its distance to the target's boundary; and
-    how much longer edges become.
+    how much longer edges become. At last the `agreement` of its distances.
     """
     source, target, index = found.source, found.target, found.forward
     rim = np.unique(boundary_edges(target.mesh))
@@ -307,9 +345,19 @@ def _evidence(found: PartMap) -> FloatArray:
         for end in pairs.T:
             lengths[:, column] += np.bincount(end, length, minlength=len(index))
     logarithms = np.nan_to_num(np.log(values + _OFFSETS))
-    mean = _averaged(source.mesh, np.hstack([logarithms, lengths]))
+    kept = _kept_distances(found)[:, None]
+    mean = _averaged(source.mesh, np.hstack([logarithms, lengths, kept]))
     longer = np.log((mean[:, 5] + 1e-3) / (mean[:, 4] + 1e-3))
-    return np.column_stack([mean[:, :4], longer])
+    return np.column_stack([mean[:, :4], longer, mean[:, 6]])
+
+
+def _kept_distances(found: PartMap) -> FloatArray:
+    """The agreement of distances on both shapes, of each source vertex, (n,)."""
+    source, target, index = found.source, found.target, found.forward
+    places = source.sample[:_ANCHORS]
+    unit = np.sqrt(target.spectrum.area / surface_area(target.mesh))
+    image = np.minimum(unit * geodesic_graph(target.mesh).distances(index[places]), _BEYOND)
+    return agreement(source.ways[: len(places)], image[:, index], places)
 
 
 def _averaged(mesh: Mesh, values: FloatArray) -> FloatArray:

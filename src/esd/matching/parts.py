@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal, TypeAlias
 
@@ -11,7 +12,7 @@ import numpy as np
 from esd.common import IntArray
 from esd.learning.model import Model, load_model
 from esd.matching.features import Features
-from esd.matching.partial import Part, PartMap, part, part_map
+from esd.matching.partial import Part, PartMap, part, part_map, refined_part_map
 from esd.mesh.geometry import components, surface_area
 from esd.mesh.mesh import Mesh
 from esd.mesh.topology import boundary_edges
@@ -30,15 +31,16 @@ MISFITS = 0.6
 """Consistent share below which a map between parts is not taken to be one."""
 
 _OPEN = 0.15  # length of all boundaries, in √area, beyond which something may be missing
-_FITS = 0.9  # consistent share beyond which nothing else is tried
-_OTHER_UNITS = 0.25  # the same below which `auto` gives up that a part and a whole have one unit
+_OTHER_UNITS = 0.25  # consistent share below which `auto` gives up that units are the same
 _LARGER = (1.0, 1.25, 1.6, 2.0)  # area of the whole, times that of the larger part
-_OTHERS = (1.0, 0.8, 1.25, 0.64, 1.56)  # area of a part's own whole, times that of another
-_MEASURED = 3  # times at most that the size is corrected by what a map measures
+_OTHERS = (0.64, 0.8, 1.0, 1.25, 1.56)  # area of a part's own whole, times that of another
+_FIRST = 1.0  # of these, from which others are looked at as long as they fit better
+_MEASURED = 2  # times at most that the size is corrected by what anchors measure
 _EQUAL = 0.03  # relative difference of areas that is not corrected
-_AS_GOOD = 0.03  # consistent share that a map may lose by that
 _SHARES = (1.0, 0.8, 0.63, 0.5, 0.4, 0.3)  # of the whole, where units differ
 _PLAUSIBLE = 0.05, 1.5  # area of an open shape, times that of a whole one of the same unit
+
+_Wholes: TypeAlias = tuple[float, float]
 
 
 def open_mesh(features: Features) -> Mesh | None:
@@ -70,9 +72,9 @@ def best_part_map(
 
     Where one is whole and of the same unit, the whole of the other has from two thirds to one and
     a half times its area. Where both are open, the whole is larger than either, and several sizes
-    are tried; where units differ, several shares that an open shape could be of its whole. A size
-    is corrected by how much larger images are than what is mapped consistently. The most consistent
-    map is taken, see `esd.matching.partial.consistent_share`.
+    are tried; where units differ, several shares that an open shape could be of its whole. That
+    size is taken at which most is consistent and distances between anchors agree most, see
+    `esd.matching.anchors`, and corrected by how much longer they are on one of the shapes.
 
     Parameters
     ----------
@@ -90,40 +92,73 @@ def best_part_map(
         meshes.append(each.shape if mesh is None else mesh)
     model = model if model.diffusion is not None else _bundled()
     areas = [surface_area(mesh) for mesh in meshes]
-    best: PartMap | None = None
-    was_same = True
-    known: dict[tuple[int, float], Part] = {}
+    known: tuple[dict[float, Part], ...] = ({}, {})  # by the area of its whole
 
-    def mapped(wholes: tuple[float, float]) -> PartMap:
-        for place, whole in enumerate(wholes):
-            if (place, whole) not in known:
-                known[place, whole] = part(meshes[place], whole, model=model, cache=cache)
-        return part_map(known[0, wholes[0]], known[1, wholes[1]], landmarks=landmarks)
+    def tried(wholes: _Wholes) -> _Sized:
+        for mesh, whole, parts in zip(meshes, wholes, known, strict=True):
+            if whole not in parts:
+                first = next(iter(parts.values()), None)
+                parts[whole] = part(mesh, whole, model=model, known=first, cache=cache)
+        source, target = (parts[whole] for whole, parts in zip(wholes, known, strict=True))
+        return _Sized(wholes, part_map(source, target, landmarks=landmarks))
 
-    def settled(found: PartMap, wholes: tuple[float, float]) -> PartMap:
-        """The map at the size that it measures itself, unless it is clearly less consistent."""
+    def corrected(sized: _Sized) -> _Sized:
         for _ in range(_MEASURED):
-            if abs(np.log(found.enlargement)) < _EQUAL or found.consistent < _OTHER_UNITS:
+            factor = sized.found.anchors.enlargement**2
+            if abs(np.log(factor)) < _EQUAL:
                 break
-            # images are larger where the source was taken to be too small a part of its whole
-            if opened[0] is not None:
-                wholes = wholes[0] / found.enlargement, wholes[1]
-            else:
-                wholes = wholes[0], wholes[1] * found.enlargement
-            other = mapped(wholes)
-            if other.consistent < found.consistent - _AS_GOOD:
+            # distances become longer where the source was taken to be too small a part of its whole
+            source, target = sized.wholes
+            is_open = opened[0] is not None
+            other = tried((source / factor, target) if is_open else (source, target * factor))
+            if other.score < sized.score:
                 break
-            found = other
-        return found
+            sized = other
+        return sized
 
-    for is_same, wholes in _wholes(areas, [mesh is not None for mesh in opened], scale):
-        enough = _FITS if is_same == was_same else _OTHER_UNITS
-        if best is not None and best.consistent >= enough:
-            break
-        was_same = is_same
-        found = mapped(wholes)
+    alike, others = _wholes(areas, [mesh is not None for mesh in opened], scale)
+    best: PartMap | None = None
+    if alike:
+        sized = _climbed(alike, tried) if None in opened else _fitting(map(tried, alike.values()))
+        best = refined_part_map(corrected(sized).found)
+    if others and (best is None or best.consistent < _OTHER_UNITS):
+        found = refined_part_map(corrected(_fitting(map(tried, others))).found)
         if best is None or found.consistent > best.consistent:
-            best = settled(found, wholes)
+            best = found
+    return best
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Sized:
+    """The map between two shapes as parts of wholes of some areas."""
+
+    wholes: _Wholes
+    found: PartMap
+
+    @property
+    def score(self) -> float:
+        """How well the sizes fit."""
+        return self.found.consistent + self.found.anchors.agreement
+
+
+def _fitting(sizes: Iterable[_Sized]) -> _Sized:
+    return max(sizes, key=lambda sized: sized.score)
+
+
+def _climbed(wholes: Mapping[float, _Wholes], tried: Callable[[_Wholes], _Sized]) -> _Sized:
+    """The sizes that fit best, found from a first one on, by factors in order."""
+    factors = list(wholes)
+    place = factors.index(_FIRST)
+    best = tried(wholes[_FIRST])
+    for step in (1, -1):
+        found = place
+        while 0 <= found + step < len(factors):
+            other = tried(wholes[factors[found + step]])
+            if other.score <= best.score:
+                break
+            best, found = other, found + step
+        if found != place:
+            break
     return best
 
 
@@ -134,27 +169,27 @@ def _bundled() -> Model:
 
 def _wholes(
     areas: Sequence[float], is_open: Sequence[bool], scale: Scale
-) -> Iterator[tuple[bool, tuple[float, float]]]:
-    """Areas of the wholes of both shapes to try, each in its own unit, and whether it is one."""
+) -> tuple[dict[float, _Wholes], list[_Wholes]]:
+    """Areas of the wholes of both shapes to try, each in its own unit.
+
+    Those of one unit by their factor, in order, and then those of different units.
+    """
     is_plausible = True
     if all(is_open):
-        alike = [(max(areas) * factor, max(areas) * factor) for factor in _LARGER]
+        alike = {factor: (max(areas) * factor, max(areas) * factor) for factor in _LARGER}
     else:
         place = is_open.index(False)
         is_plausible = _PLAUSIBLE[0] < areas[1 - place] / areas[place] < _PLAUSIBLE[1]
-        alike = [
-            (areas[0], areas[0] * factor) if place == 0 else (areas[1] * factor, areas[1])
+        alike = {
+            factor: (areas[0], areas[0] * factor) if place == 0 else (areas[1] * factor, areas[1])
             for factor in _OTHERS
-        ]
-    if scale == "same" or (scale == "auto" and is_plausible):
-        yield from ((True, wholes) for wholes in alike)
+        }
     if scale == "same" or (scale == "auto" and all(is_open)):
-        return
+        return alike, []
+    others: list[_Wholes] = []
     for share in _SHARES:
-        if all(is_open):
-            yield False, (areas[0] / share, areas[1])
-            yield False, (areas[0], areas[1] / share)
-        elif is_open[0]:
-            yield False, (areas[0] / share, areas[1])
-        else:
-            yield False, (areas[0], areas[1] / share)
+        if is_open[0]:
+            others.append((areas[0] / share, areas[1]))
+        if is_open[1]:
+            others.append((areas[0], areas[1] / share))
+    return (alike if scale == "auto" and is_plausible else {}), others

@@ -1,0 +1,168 @@
+"""Matches at a few samples whose distances along both surfaces agree with each other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from esd.common import FloatArray, IntArray
+
+_CANDIDATES = 5  # targets of each source sample
+_APART = 0.1  # least distance between these, in √area of the whole
+_TEMPERATURE = 0.07  # of products of rows, as embeddings are trained
+_UNARY = 0.5  # weight of rows beside the agreement of distances
+_PAIRWISE = 12.0
+_STEPS, _RISING = 30, 10  # of relaxation, and those in which the second weight rises
+_ABSOLUTE, _RELATIVE = 0.03, 0.08  # deviation of distances that agree: people differ
+_LOCAL = 0.8  # distance beyond which pairs are not compared
+_SOFT = 0.1  # added to distances by whose inverse pairs are weighted
+_POWER_STEPS = 20
+_MEASURED = 0.1, 0.6  # distances of which it is measured how much longer they become
+_ROUNDING = 0.01
+_ROW = 0.05  # added to distances in rows
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Anchors:
+    """Samples of two shapes that correspond.
+
+    Parameters
+    ----------
+    source, target : (k,)
+        Their places among the samples of each.
+    support : (k,)
+        How well the distances of each from the others agree on both shapes, over that of the best.
+    agreement
+        The mean of that, from 0 to 1.
+    enlargement
+        How much longer distances are on the target, where they agree.
+    """
+
+    source: IntArray
+    target: IntArray
+    support: FloatArray
+    agreement: float
+    enlargement: float
+
+
+def anchors(similarity: FloatArray, source_ways: FloatArray, target_ways: FloatArray) -> Anchors:
+    """For each source sample, the target sample that fits the others best.
+
+    Each source sample may go to a few of the most similar target samples that lie apart. A choice
+    is supported by those of other samples whose distances from it are equal on both shapes;
+    choices are relaxed together, and what finds no support counts less and less.
+
+    Parameters
+    ----------
+    similarity : (k, m)
+        Of source samples with target samples.
+    source_ways : (k, k), target_ways : (m, m)
+        Distances along the surfaces between samples, in √area of the whole.
+
+    References
+    ----------
+    Leordeanu, Hebert 2005, *A spectral technique for correspondence problems using pairwise
+    constraints*; Rosenfeld, Hummel, Zucker 1976, for the relaxation.
+    """
+    count = len(similarity)
+    choice = _candidates(similarity, target_ways)  # (k, c), columns of `similarity`
+    unary = np.take_along_axis(similarity, choice, axis=1)
+    unary = _UNARY * (unary - unary.max(axis=1, keepdims=True)) / _TEMPERATURE
+    flat = choice.ravel()
+    between = target_ways[np.ix_(flat, flat)].reshape(*choice.shape, *choice.shape)
+    agree = _agreement(source_ways[:, None, :, None], between)  # (k, c, k, c)
+    weight = _weight(source_ways)
+    np.fill_diagonal(weight, 0.0)
+    weight /= np.maximum(weight.sum(axis=1, keepdims=True), np.finfo(float).tiny)
+    share = _softmax(unary)
+    support = np.ones(count)
+    for step in range(_STEPS):
+        votes = np.einsum("ij,iajb,jb->ia", weight * support, agree, share, optimize=True)
+        share = _softmax(unary + _PAIRWISE * min(1.0, (step + 1) / _RISING) * votes)
+        if step >= _RISING:
+            support = (votes * share).sum(axis=1)
+            support /= max(float(support.max()), np.finfo(float).tiny)
+    index = choice[np.arange(count), share.argmax(axis=1)]
+    there = target_ways[np.ix_(index, index)]
+    agree = _agreement(source_ways, there)
+    compared = np.outer(support, support) * agree
+    compared[(source_ways < _MEASURED[0]) | (source_ways > _MEASURED[1])] = 0.0
+    longer = np.log((there + _ROUNDING) / (source_ways + _ROUNDING))
+    return Anchors(
+        np.arange(count),
+        index,
+        support,
+        float(((weight * agree) @ support).mean()),
+        float(np.exp(_median(longer.ravel(), compared.ravel()))),
+    )
+
+
+def anchor_rows(ways: FloatArray) -> FloatArray:
+    """Rows of unit length, (n, k), of distances (k, n) from anchors, near ones first."""
+    rows = 1 / (ways.T + _ROW)
+    return np.asarray(rows / np.linalg.norm(rows, axis=1, keepdims=True))
+
+
+def agreement(source_ways: FloatArray, image_ways: FloatArray, places: IntArray) -> FloatArray:
+    """How far each vertex keeps its distances from those samples that keep theirs, (n,), 0 to 1.
+
+    The samples are weighted by how far they agree with each other, as the leading eigenvector of
+    their agreement says; what is mapped smoothly to a wrong limb agrees with itself and not with
+    the rest.
+
+    Parameters
+    ----------
+    source_ways : (k, n)
+        Distances from samples.
+    image_ways : (k, n)
+        Distances of the images from the images of the samples.
+    places : (k,)
+        The vertices that are the samples.
+    """
+    weight = _weight(np.minimum(source_ways, image_ways))
+    agree = weight * _agreement(source_ways, image_ways)
+    among, total = agree[:, places].copy(), weight[:, places].copy()
+    np.fill_diagonal(among, 0.0)
+    np.fill_diagonal(total, 0.0)
+    least = np.finfo(float).tiny
+    support = np.ones(len(places))
+    for _ in range(_POWER_STEPS):
+        support = support @ among / np.maximum(total.sum(axis=0), least)
+        support /= max(float(support.max()), least)
+    result = support @ agree / np.maximum(weight.sum(axis=0), least)
+    return np.asarray(result / max(float(result.max()), least))
+
+
+def _candidates(similarity: FloatArray, target_ways: FloatArray) -> IntArray:
+    """The most similar target samples of each source sample that lie apart, (k, c)."""
+    left = similarity.astype(np.float64)
+    rows = np.arange(len(left))
+    choice = np.empty((len(left), _CANDIDATES), dtype=np.int64)
+    for column in range(_CANDIDATES):
+        choice[:, column] = left.argmax(axis=1)
+        if column:  # where none is left, the best again
+            none = np.isneginf(left[rows, choice[:, column]])
+            choice[none, column] = choice[none, 0]
+        left[target_ways[choice[:, column]] < _APART] = -np.inf
+    return choice
+
+
+def _agreement(one: FloatArray, other: FloatArray) -> FloatArray:
+    deviation = _ABSOLUTE + _RELATIVE * np.minimum(one, other)
+    return np.exp(-(((one - other) / deviation) ** 2) / 2)
+
+
+def _weight(ways: FloatArray) -> FloatArray:
+    return np.where(ways < _LOCAL, 1 / (ways + _SOFT), 0.0)
+
+
+def _median(values: FloatArray, weights: FloatArray) -> float:
+    order = np.argsort(values)
+    total = np.cumsum(weights[order])
+    return float(values[order[np.searchsorted(total, total[-1] / 2)]])
+
+
+def _softmax(values: FloatArray) -> FloatArray:
+    result = np.exp(values - values.max(axis=1, keepdims=True))
+    return np.asarray(result / result.sum(axis=1, keepdims=True))

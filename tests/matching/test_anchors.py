@@ -1,0 +1,62 @@
+import numpy as np
+import pytest
+from scipy.spatial.distance import cdist
+
+from esd.matching.anchors import agreement, anchor_rows, anchors
+
+
+def plane(count: int, seed: int) -> np.ndarray:
+    """Points of a square, whose distances are known."""
+    return np.random.default_rng(seed).uniform(0, 0.7, size=(count, 2))
+
+
+def test_distances_decide_between_candidates_that_look_alike():
+    points = plane(60, 0)
+    order = np.random.default_rng(1).permutation(60)
+    target = points[order]
+    truth = np.argsort(order)
+    similarity = np.zeros((60, 60))
+    similarity[np.arange(60), truth] = 0.9
+    other = (truth + 30) % 60  # looks a little more alike for a third of the points
+    similarity[np.arange(0, 60, 3), other[::3]] = 0.95
+    assert (similarity.argmax(axis=1) == truth).mean() == pytest.approx(2 / 3)
+    found = anchors(similarity, cdist(points, points), cdist(target, target))
+    near = np.linalg.norm(target[found.target] - points, axis=1) < 0.1
+    assert near.mean() > 0.95
+    assert found.enlargement == pytest.approx(1, abs=0.01)
+    np.testing.assert_array_equal(found.source, np.arange(60))
+
+
+def test_what_has_no_counterpart_has_less_support():
+    points = plane(80, 2)
+    target = points[:50]
+    similarity = np.random.default_rng(3).uniform(0, 0.1, size=(80, 50))
+    similarity[np.arange(50), np.arange(50)] = 0.9
+    found = anchors(similarity, cdist(points, points), cdist(target, target))
+    assert found.support[:50].mean() > 1.5 * found.support[50:].mean()
+
+
+def test_the_enlargement_is_that_of_distances():
+    points = plane(60, 4)
+    ways = cdist(points, points)
+    found = anchors(np.eye(60), ways, 1.06 * ways)
+    assert found.enlargement == pytest.approx(1.06, abs=0.01)
+    assert found.agreement < anchors(np.eye(60), ways, ways).agreement
+
+
+def test_points_of_a_limb_that_is_mapped_elsewhere_do_not_agree():
+    points = plane(200, 5)
+    image = points.copy()
+    limb = points[:, 0] > 0.5
+    image[limb, 1] += 0.6  # smoothly, but to where it does not belong
+    places = np.arange(0, 200, 4)
+    kept = agreement(cdist(points[places], points), cdist(image[places], image), places)
+    assert kept[~limb].min() > kept[limb].max()
+    assert kept.max() == 1
+
+
+def test_rows_are_of_unit_length_and_lead_to_the_same_place():
+    points = plane(50, 6)
+    rows = anchor_rows(cdist(points[:20], points))
+    np.testing.assert_allclose(np.linalg.norm(rows, axis=1), 1)
+    np.testing.assert_array_equal((rows @ rows.T).argmax(axis=1), np.arange(50))
