@@ -9,6 +9,8 @@ from esd.matching.judge import accuracy, cost
 from esd.matching.match import match
 from esd.matching.registered import REGISTERED
 
+DOUBTFUL = {"lost": 0.8, "residual": 0.1}
+
 
 def test_the_choice_is_the_candidate_of_least_cost(pair):
     choice = chosen(*pair)
@@ -30,7 +32,7 @@ def test_registration_is_for_choices_that_are_not_sure(pair):
     sure = chosen(pair[0], pair[0])
     assert elastic(sure) is sure
     doubtful = chosen(*pair)
-    doubtful = replace(doubtful, evidence=replace(doubtful.evidence, normals=0.0, lost=0.3))
+    doubtful = replace(doubtful, evidence=replace(doubtful.evidence, **DOUBTFUL))
     found = elastic(doubtful)
     assert found.costs.keys() - doubtful.costs.keys() == {REGISTERED}
     others = found.computed[len(doubtful.computed) :]
@@ -39,9 +41,16 @@ def test_registration_is_for_choices_that_are_not_sure(pair):
     assert found.costs[REGISTERED] == min(cost(evidence) for _, evidence in others)
 
 
+def test_shapes_of_one_pose_are_not_registered(pair):
+    doubtful = chosen(*pair)
+    alike = DOUBTFUL | {"residual": 0.01}
+    doubtful = replace(doubtful, evidence=replace(doubtful.evidence, **alike))
+    assert elastic(doubtful) is doubtful
+
+
 def test_a_registered_candidate_is_taken_where_it_costs_little_more(pair):
     doubtful = chosen(*pair)
-    doubtful = replace(doubtful, evidence=replace(doubtful.evidence, normals=0.0, lost=0.3))
+    doubtful = replace(doubtful, evidence=replace(doubtful.evidence, **DOUBTFUL))
     dear = replace(doubtful, costs=dict.fromkeys(doubtful.costs, 1000.0))
     assert elastic(dear).candidate.name == REGISTERED
     assert elastic(dear).candidate.embeddings is not None

@@ -40,6 +40,7 @@ CHAIN = "chain"
 
 _SURE = 0.97  # expected accuracy of a candidate beyond which shapes of other poses get no more
 _OF_A_LANDMARK = 1.0  # cost of leaving out one of four
+_ONE_POSE = 0.02  # in √area: residual of the map below which only details differ: skulls 0.01
 _OTHER_POSE = 0.07  # residual of the alignment beyond which shapes are not of one pose
 
 
@@ -144,9 +145,10 @@ def elastic(choice: Choice) -> Choice:
     """The choice, or a registered candidate in its place where none is sure.
 
     Each candidate is registered, see `esd.matching.registered`; the best of the results is refined
-    coarsely and registered once more. Shapes that are no oriented manifolds cannot be.
+    coarsely and registered once more. Shapes that are no oriented manifolds cannot be, and those
+    of one pose need not: smooth deformation is better there.
     """
-    if accuracy(choice.evidence) >= _SURE:
+    if accuracy(choice.evidence) >= _SURE or choice.evidence.residual < _ONE_POSE:
         return choice
     source, target = side_by_side(coarse, choice.shapes)
     if source is None or target is None:
