@@ -301,7 +301,6 @@ CASES: list[tuple[tuple[str, ...], int, str]] = [
     (("view", *COMMON, "--points", "odd.vts", "b.vts", "-o", "out/v.html"), 1, "odd.vts"),
     (("view", *COMMON, "--points", "zero.vts", "b.vts", "-o", "out/v.html"), 1, "zero.vts"),
     (("view", *COMMON, "--truth", "map.csv", "--points", "a.vts", "b.vts"), 2, "not both"),
-    (("view", "points.xyz", "b.off", "map.csv", "-o", "out/v.html"), 1, "points.xyz"),
     (("export", *COMMON, "-o", "out/m.obj"), 1, ".ply, .vtp for SOURCE with its matches"),
     (("export", *COMMON, "--truth", "map.csv", "--points", "a.vts", "b.vts"), 2, "not both"),
     (("transfer", *COMMON), 2, "Give one of --texture"),

@@ -74,7 +74,7 @@ def test_an_adaptation_that_the_judge_finds_worse_is_dropped(untrained, monkeypa
     assert not found.judgement.adaptation.is_kept
     assert "gave nothing: the cost rose from 1.00 to 2.00" in found.judgement.adaptation.in_a_line()
     # another number of threads rounds otherwise, and few matches of this model are clear
-    assert (found.target_index == plain.target_index).mean() > 0.99
+    assert (found.target_index == plain.target_index).mean() > 0.95
 
 
 def test_landmarks_are_learned_from(untrained):
