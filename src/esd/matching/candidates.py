@@ -162,6 +162,15 @@ def spectral_candidate(
     return Candidate(name, forward, (backward[1], backward[0]), embeddings)
 
 
+def sample_maps(
+    source: Sampled, target: Sampled, candidate: Candidate
+) -> tuple[IntArray, IntArray]:
+    """The map of a candidate between the samples, and the one back, (s,) and (s,)."""
+    forward = candidate.forward
+    at_samples = forward[0][source.posed.sample], forward[1][target.posed.sample]
+    return nearest(*at_samples)[0], nearest(*at_samples[::-1])[0]
+
+
 def rows_one_way(
     source: Sampled,
     target: Sampled,

@@ -18,6 +18,7 @@ from esd.matching.candidates import (
     Sampled,
     extrinsic_candidate,
     pair_descriptors,
+    sample_maps,
     sampled,
     spectral_candidate,
 )
@@ -25,13 +26,7 @@ from esd.matching.extrinsic import Alignment, aligned, deformed
 from esd.matching.features import Features
 from esd.matching.judge import Evidence, accuracy, cost, evidence
 from esd.matching.landmarks import FEWEST, contradicted, landmark_candidates
-from esd.matching.registered import (
-    REGISTERED,
-    coarse,
-    registered,
-    smoothed,
-    with_embeddings,
-)
+from esd.matching.registered import REGISTERED, coarse, registered, smoothed, with_embeddings
 from esd.nearest import nearest
 from esd.parallel import side_by_side
 
@@ -62,6 +57,8 @@ class Choice:
         All candidates that were computed, with their evidence.
     shapes
         The source and the target with their samples.
+    descriptors
+        The `pair_descriptors` of these.
     """
 
     candidate: Candidate
@@ -70,6 +67,7 @@ class Choice:
     contradicted: IntArray
     computed: tuple[tuple[Candidate, Evidence], ...]
     shapes: tuple[Sampled, Sampled]
+    descriptors: Rows
 
 
 def check_candidates(names: Sequence[str], *, landmarks: bool = False) -> tuple[str, ...]:
@@ -138,7 +136,7 @@ def chosen(
             found += _judged(_extrinsic(shapes, alignment, rows, names), shapes, descriptors)
     costs = {candidate.name: cost(each) for candidate, each in found}
     best = min(found, key=lambda each: costs[each[0].name])
-    return Choice(*best, costs, doubtful, tuple(found), shapes)
+    return Choice(*best, costs, doubtful, tuple(found), shapes, descriptors)
 
 
 def elastic(choice: Choice) -> Choice:
@@ -153,14 +151,13 @@ def elastic(choice: Choice) -> Choice:
     source, target = side_by_side(coarse, choice.shapes)
     if source is None or target is None:
         return choice
-    descriptors = pair_descriptors(*choice.shapes)
     embeddings = choice.shapes[0].features.embedded, choice.shapes[1].features.embedded
     starts = [each for each, _ in choice.computed]
     made = side_by_side(lambda start: registered(source, target, start), starts)
-    found = _judged(made, choice.shapes, descriptors)
+    found = _judged(made, choice.shapes, choice.descriptors)
     best = min(found, key=lambda each: cost(each[1]))[0]
     refined = smoothed(*choice.shapes, with_embeddings(best, embeddings))
-    found += _judged([registered(source, target, refined)], choice.shapes, descriptors)
+    found += _judged([registered(source, target, refined)], choice.shapes, choice.descriptors)
     best, its_evidence = min(found, key=lambda each: cost(each[1]))
     costs = choice.costs | {REGISTERED: cost(its_evidence)}
     choice = replace(choice, costs=costs, computed=(*choice.computed, *found))
@@ -208,7 +205,8 @@ def chained(source: Features, target: Features, by_way: IntArray) -> Choice:
     judged = _judged([candidate], shapes, descriptors)
     found = judged[0][1]
     nothing: IntArray = np.zeros(0, dtype=np.int64)
-    return Choice(candidate, found, {CHAIN: cost(found)}, nothing, tuple(judged), shapes)
+    costs = {CHAIN: cost(found)}
+    return Choice(candidate, found, costs, nothing, tuple(judged), shapes, descriptors)
 
 
 def _by_landmarks(
@@ -259,9 +257,7 @@ def _extrinsic(
 ) -> list[Candidate]:
     source, target = shapes
     extrinsic = extrinsic_candidate(deformed(alignment.source, target.posed), target.posed)
-    here, there = source.posed.sample, target.posed.sample
-    at_samples = extrinsic.forward[0][here], extrinsic.forward[1][there]
-    start = nearest(*at_samples)[0], nearest(*at_samples[::-1])[0]
+    start = sample_maps(source, target, extrinsic)
     refined = [
         spectral_candidate(f"extrinsic+{name}", source, target, each, start=start, sizes=FROM_POSE)
         for name, each in rows.items()

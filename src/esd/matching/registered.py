@@ -9,7 +9,14 @@ from scipy.spatial import KDTree
 
 from esd.common import FloatArray, InputError, IntArray
 from esd.deformation.fit import fit
-from esd.matching.candidates import FROM_POSE, Candidate, Rows, Sampled, spectral_candidate
+from esd.matching.candidates import (
+    FROM_POSE,
+    Candidate,
+    Rows,
+    Sampled,
+    sample_maps,
+    spectral_candidate,
+)
 from esd.mesh.geometry import surface_area, unit, vertex_normals
 from esd.mesh.mesh import Mesh
 from esd.mesh.surface import nearest_vertices
@@ -38,15 +45,14 @@ class Coarse:
         And where the shape's vertices lie on it.
     near : (c,)
         The vertex of the shape nearest to each of the copy.
+    vertex : (n,)
+        The vertex of the copy nearest to each of the shape; -1 for none.
     """
 
     shape: Sampled
     copy: MeshCopy
     near: IntArray
-
-    def nearest(self) -> IntArray:
-        """The vertex of the copy nearest to each of the shape, (n,); -1 for none."""
-        return nearest_vertices(self.copy.mesh, self.copy.points)
+    vertex: IntArray
 
 
 def coarse(shape: Sampled) -> Coarse | None:
@@ -58,7 +64,8 @@ def coarse(shape: Sampled) -> Coarse | None:
     except InputError:
         return None
     copy = replace(copy, mesh=compacted(copy.mesh)[0])  # with the same faces in the same order
-    return Coarse(shape, copy, KDTree(mesh.vertices).query(copy.mesh.vertices)[1])
+    near = KDTree(mesh.vertices).query(copy.mesh.vertices)[1]
+    return Coarse(shape, copy, near, nearest_vertices(copy.mesh, copy.points))
 
 
 def registered(source: Coarse, target: Coarse, candidate: Candidate) -> Candidate:
@@ -71,7 +78,7 @@ def registered(source: Coarse, target: Coarse, candidate: Candidate) -> Candidat
     image = nearest(candidate.forward[0][source.near], candidate.forward[1])[0]
     again = nearest(candidate.backward[1][image], candidate.backward[0])[0]
     miss = np.linalg.norm(here.points[source.near] - here.points[again], axis=1)
-    index = target.nearest()[image]
+    index = target.vertex[image]
     weight = 1 / (1 + (miss / _MISS) ** 2)
     found = fit(source.copy.mesh, target.copy.mesh, index, weight, quick=True)
     mesh = there.features.shape
@@ -100,9 +107,7 @@ def with_embeddings(candidate: Candidate, embeddings: Rows) -> Candidate:
 def smoothed(source: Sampled, target: Sampled, candidate: Candidate) -> Candidate:
     """A registered candidate refined coarsely, from which it can be registered once more."""
     assert candidate.embeddings is not None
-    here, there = source.posed.sample, target.posed.sample
-    at_samples = candidate.forward[0][here], candidate.forward[1][there]
-    start = nearest(*at_samples)[0], nearest(*at_samples[::-1])[0]
+    start = sample_maps(source, target, candidate)
     return spectral_candidate(
         REGISTERED, source, target, candidate.embeddings, start=start, sizes=FROM_POSE
     )
