@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
 
-from esd.matching.anchors import agreement, anchor_rows, anchors
+from esd.matching.anchors import agreement, anchors, nearness
 
 
 def plane(count: int, seed: int) -> np.ndarray:
@@ -57,6 +57,6 @@ def test_points_of_a_limb_that_is_mapped_elsewhere_do_not_agree():
 
 def test_rows_are_of_unit_length_and_lead_to_the_same_place():
     points = plane(50, 6)
-    rows = anchor_rows(cdist(points[:20], points))
+    rows = nearness(cdist(points[:20], points))
     np.testing.assert_allclose(np.linalg.norm(rows, axis=1), 1)
     np.testing.assert_array_equal((rows @ rows.T).argmax(axis=1), np.arange(50))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from esd.common import FloatArray, IntArray
+from esd.mesh.geometry import unit
 
 _CANDIDATES = 5  # targets of each source sample
 _APART = 0.1  # least distance between these, in √area of the whole
@@ -20,7 +21,7 @@ _SOFT = 0.1  # added to distances by whose inverse pairs are weighted
 _POWER_STEPS = 20
 _MEASURED = 0.1, 0.6  # distances of which it is measured how much longer they become
 _ROUNDING = 0.01
-_ROW = 0.05  # added to distances in rows
+_NEAR = 0.05  # distances to a point below this count as about the same
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,10 +99,17 @@ def anchors(similarity: FloatArray, source_ways: FloatArray, target_ways: FloatA
     )
 
 
-def anchor_rows(ways: FloatArray) -> FloatArray:
-    """Rows of unit length, (n, k), of distances (k, n) from anchors, near ones first."""
-    rows = 1 / (ways.T + _ROW)
-    return np.asarray(rows / np.linalg.norm(rows, axis=1, keepdims=True))
+def nearness(ways: FloatArray) -> FloatArray:
+    """Rows (n, k) of unit length that say how near each vertex is to each of some points.
+
+    1 / (d + 0.05) for the distance d in √area; zero where there is no way.
+
+    Parameters
+    ----------
+    ways : (k, n)
+        The distances.
+    """
+    return unit(1 / (ways.T + _NEAR))
 
 
 def agreement(source_ways: FloatArray, image_ways: FloatArray, places: IntArray) -> FloatArray:

@@ -17,6 +17,7 @@ from esd.common import (
     table_rows,
     whole_number,
 )
+from esd.matching.anchors import nearness
 from esd.matching.candidates import (
     Candidate,
     Rows,
@@ -39,7 +40,6 @@ FEWEST = 3
 _BY_LANDMARKS = "landmarks+"  # begins the names of `LANDMARK_CANDIDATES`
 _EXTRINSIC = f"{_BY_LANDMARKS}extrinsic"
 
-_NEAR = 0.05  # in √area: distances to a landmark below this count as about the same
 _WEIGHT = 3.0  # of rows of landmarks
 _EMBEDDING_WEIGHT = 0.3  # of embeddings beside them, which have unit length
 _DESCRIPTOR_WEIGHT = 0.3  # of descriptors beside them, whose length is about three
@@ -144,15 +144,14 @@ def paired_landmarks(source: Landmarks, target: Landmarks) -> tuple[tuple[str, .
 def landmark_rows(mesh: Mesh, vertices: IntArray) -> FloatArray:
     """Rows (n, l) of unit length that say how near each vertex is to each landmark.
 
-    1 / (d + 0.05) for the geodesic distance d in units of √area; zero where there is no way.
+    See `esd.matching.anchors.nearness`.
 
     Parameters
     ----------
     vertices : (l,)
         The landmarks.
     """
-    distance = geodesic_graph(mesh).distances(vertices).T / np.sqrt(surface_area(mesh))
-    return unit(1 / (distance + _NEAR))
+    return nearness(geodesic_graph(mesh).distances(vertices) / np.sqrt(surface_area(mesh)))
 
 
 def landmark_candidates(

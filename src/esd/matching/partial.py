@@ -13,7 +13,7 @@ from scipy.spatial import KDTree
 from esd.common import FloatArray, IntArray
 from esd.descriptors.recipe import recipe_spectrum, spectrum_descriptors
 from esd.learning.model import Model
-from esd.matching.anchors import Anchors, agreement, anchor_rows, anchors
+from esd.matching.anchors import Anchors, agreement, anchors, nearness
 from esd.matching.candidates import Rows
 from esd.matching.landmarks import landmark_rows
 from esd.mesh.geodesics import geodesic_graph
@@ -207,7 +207,7 @@ def part_map(source: Part, target: Part, *, landmarks: IntArray | None = None) -
     )
     used = found.support > _SUPPORTED
     ways = source.ways[found.source[used]], target.ways[found.target[used]]
-    rows = _beside(rows, map(anchor_rows, ways), _ANCHOR_WEIGHT)
+    rows = _beside(rows, map(nearness, ways), _ANCHOR_WEIGHT)
     forward, backward = nearest(*rows)[0], nearest(*rows[::-1])[0]
     share = consistent_share(source, target, forward, backward)
     return PartMap(source, target, forward, backward, rows, found, share)
