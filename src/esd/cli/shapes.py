@@ -35,15 +35,10 @@ def read_drawable(path: Path) -> Mesh:
     InputError
         If there are none, or they have no area.
     """
-    from esd.common import InputError
-    from esd.mesh.geometry import surface_area
     from esd.mesh.repair.repair import usable_part
 
     with about(path):
-        mesh = usable_part(path)
-        if not surface_area(mesh) > 0:
-            raise InputError("Its faces have no area; a surface is needed.")
-        return mesh
+        return _with_area(usable_part(path))
 
 
 def read_shown(path: Path) -> Mesh:
@@ -59,7 +54,17 @@ def read_shown(path: Path) -> Mesh:
 
     with about(path):
         shape = read_shape(path)
-        return surface_between(shape) if isinstance(shape, PointCloud) else read_drawable(path)
+        return surface_between(shape) if isinstance(shape, PointCloud) else _with_area(shape)
+
+
+def _with_area(mesh: Mesh) -> Mesh:
+    """The mesh, if it can be drawn."""
+    from esd.common import InputError
+    from esd.mesh.geometry import surface_area
+
+    if not surface_area(mesh) > 0:
+        raise InputError("Its faces have no area; a surface is needed.")
+    return mesh
 
 
 def read_map(path: Path, *, source_count: int, target_count: int) -> Correspondence:
