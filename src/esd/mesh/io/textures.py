@@ -61,7 +61,7 @@ def read_texture(path: str | os.PathLike[str]) -> Texture:
         raise InputError(f"'{path}': textures are read from {', '.join(TEXTURE_FORMATS)}.")
     read_mesh(path)  # says what is wrong with the mesh, if anything
     coordinates, contents, number = (
-        _obj_texture(path) if path.suffix.lower() == ".obj" else _glb_texture(path)
+        _obj_texture(read_obj(path), path) if path.suffix.lower() == ".obj" else _glb_texture(path)
     )
     if np.isnan(coordinates).any():
         raise InputError(f"'{path}' has no texture coordinates at some corners of its faces.")
@@ -129,10 +129,11 @@ def write_obj_like(mesh: Mesh, path: Path, *, original: Path) -> bool:
     several images.
     """
     try:
-        image = read_texture(original).image
         content = read_obj(original)
-        if len(_obj_texture(original)[1]) > 1:
+        coordinates, contents, _ = _obj_texture(content, original)
+        if len(contents) > 1 or np.isnan(coordinates).any():
             return False
+        image = _image(*contents[0])
     except InputError:  # it has no texture
         return False
     materials, text = path.with_suffix(".mtl"), _materials(content, original, f"{path.stem}.png")
@@ -222,8 +223,7 @@ _Found: TypeAlias = tuple[FloatArray, list[tuple[bytes, str]], IntArray]
 """Coordinates (m, 3, 2), content and name of each image, and which is on each face, (m,)."""
 
 
-def _obj_texture(path: Path) -> _Found:
-    content = read_obj(path)
+def _obj_texture(content: ObjFile, path: Path) -> _Found:
     index = content.texture_faces
     if index.min() < 0 or index.max() >= len(content.coordinates):
         raise InputError(f"'{path}' has no texture coordinates at some corners.")
