@@ -25,7 +25,6 @@ from measure import row, table
 from scipy.optimize import minimize
 
 from esd.common import BoolArray, FloatArray, IntArray
-from esd.evaluation.errors import geodesic_errors
 from esd.learning.model import Model, load_model
 from esd.matching import choice as choosing
 from esd.matching.choice import chosen, elastic
@@ -33,7 +32,7 @@ from esd.matching.judge import Evidence
 from esd.matching.match import match_features, prepared, working_features
 from esd.nearest import nearest
 from esd.spectral.cache import default_cache
-from real import SETS, Shape, pairs_of, rotated, ruler
+from real import SETS, Shape, errors_along, known_points, pairs_of, rotated, ruler
 
 POINTS = 400
 PAIRS = {
@@ -73,12 +72,9 @@ def across(data: Path) -> list[tuple[Shape, Shape]]:
 def errors(source: Shape, target: Shape, index: IntArray) -> tuple[float, float]:
     """Mean error of a map between the files' vertices, and the share that is right."""
     scale = ruler(target)
-    known = np.flatnonzero((source.index >= 0) & (target.index >= 0))
-    known = np.random.default_rng(0).permutation(known)[:POINTS]
+    known = known_points(source, target, POINTS)
     image = index[source.index[known]]
-    place = np.append(scale.vertex_index, -1)  # of no vertex: none
-    (along,) = geodesic_errors(scale.graph, place[image], (place[target.index[known]],))
-    along = np.minimum(along, scale.diameter)[image >= 0]
+    along = errors_along(target, image, known)[image >= 0]
     return 100 * float(along.mean()) / scale.root, float((along < 0.05 * scale.diameter).mean())
 
 

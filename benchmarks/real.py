@@ -303,6 +303,20 @@ def ruler(shape: Shape) -> Ruler:
     )
 
 
+def known_points(source: Shape, target: Shape, count: int) -> IntArray:
+    """Some of the points that both shapes have."""
+    known = np.flatnonzero((source.index >= 0) & (target.index >= 0))
+    return np.random.default_rng(0).permutation(known)[:count]
+
+
+def errors_along(target: Shape, image: IntArray, known: IntArray) -> FloatArray:
+    """Geodesic distances of vertices of the target, -1 for none, from its known points."""
+    scale = ruler(target)
+    place = np.append(scale.vertex_index, -1)  # of no vertex: none
+    (along,) = geodesic_errors(scale.graph, place[image], (place[target.index[known]],))
+    return np.minimum(along, scale.diameter)  # another component: infinitely far
+
+
 def measured(name: str, source: Shape, target: Shape, method: str) -> Row:
     row = {"set": name, "source": source.name, "target": target.name, "method": method}
     start = time.perf_counter()
@@ -318,16 +332,13 @@ def measured(name: str, source: Shape, target: Shape, method: str) -> Row:
             **row,
             error=100 * distance_when_aligned(source.mesh, target.mesh, index) / scale.diagonal,
         )
-    known = np.flatnonzero((source.index >= 0) & (target.index >= 0))
-    known = np.random.default_rng(0).permutation(known)[:POINTS]
+    known = known_points(source, target, POINTS)
     image = index[source.index[known]]
     far = (
         np.linalg.norm(target.mesh.vertices[image] - target.points[known], axis=1) / scale.diagonal
     )
     far = far[image >= 0]
-    place = np.append(scale.vertex_index, -1)  # of no vertex: none
-    (along,) = geodesic_errors(scale.graph, place[image], (place[target.index[known]],))
-    along = np.minimum(along, scale.diameter)  # another component: infinitely far
+    along = errors_along(target, image, known)
     return Row(
         **row,
         error=100 * far.mean(),
