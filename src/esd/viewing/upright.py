@@ -17,10 +17,8 @@ AXES = ("x", "-x", "y", "-y", "z", "-z")
 _LIKELY = ("y", "-y", "z", "-z")  # as programs write them: x is to the side
 _SOLE = 0.04  # of the longest extent: what is not higher than this stands on the ground
 _NO_FEET = 0.005  # added to the share of the ground, so that none is impossible
-_USUAL, _TALL = (
-    1.5,
-    3.0,
-)  # times as likely is what is usual, the latter where it is the longest axis
+_USUAL = 1.5  # times as likely is what is usual,
+_TALL = 3.0  # and so many times where it is the longest axis
 
 
 def default_up(mesh: Mesh, *, usual: str | None = None) -> str:
