@@ -41,6 +41,13 @@ def test_registration_is_for_choices_that_are_not_sure(pair):
     assert found.costs[REGISTERED] == min(cost(evidence) for _, evidence in others)
 
 
+def test_candidates_that_cannot_be_registered_are_left_as_they_are(pair, monkeypatch):
+    doubtful = chosen(*pair)
+    doubtful = replace(doubtful, evidence=replace(doubtful.evidence, **DOUBTFUL))
+    monkeypatch.setattr("esd.matching.choice.registered", lambda *_: None)
+    assert elastic(doubtful) is doubtful
+
+
 def test_shapes_of_one_pose_are_not_registered(pair):
     doubtful = chosen(*pair)
     alike = DOUBTFUL | {"residual": 0.01}

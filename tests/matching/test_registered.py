@@ -43,6 +43,11 @@ def test_a_match_that_does_not_return_counts_little(bodies):
     assert away[patch].mean() < 0.1
 
 
+def test_a_candidate_that_leads_to_one_place_is_not_registered(bodies):
+    index = np.zeros(len(bodies[0].points), dtype=int)
+    assert registered(*map(coarse, bodies), candidate_of(index, len(index))) is None
+
+
 def test_embeddings_are_beside_positions(bodies):
     count = len(bodies[0].points)
     found = registered(*map(coarse, bodies), candidate_of(np.arange(count), count))

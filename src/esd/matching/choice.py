@@ -152,12 +152,17 @@ def elastic(choice: Choice) -> Choice:
     if source is None or target is None:
         return choice
     embeddings = choice.shapes[0].features.embedded, choice.shapes[1].features.embedded
-    starts = [each for each, _ in choice.computed]
-    made = side_by_side(lambda start: registered(source, target, start), starts)
-    found = _judged(made, choice.shapes, choice.descriptors)
+
+    def judged(starts: Sequence[Candidate]) -> list[tuple[Candidate, Evidence]]:
+        made = side_by_side(lambda start: registered(source, target, start), starts)
+        found = [each for each in made if each is not None]
+        return _judged(found, choice.shapes, choice.descriptors)
+
+    found = judged([each for each, _ in choice.computed])
+    if not found:
+        return choice
     best = min(found, key=lambda each: cost(each[1]))[0]
-    refined = smoothed(*choice.shapes, with_embeddings(best, embeddings))
-    found += _judged([registered(source, target, refined)], choice.shapes, choice.descriptors)
+    found += judged([smoothed(*choice.shapes, with_embeddings(best, embeddings))])
     best, its_evidence = min(found, key=lambda each: cost(each[1]))
     costs = choice.costs | {REGISTERED: cost(its_evidence)}
     choice = replace(choice, costs=costs, computed=(*choice.computed, *found))

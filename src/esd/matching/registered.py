@@ -68,11 +68,11 @@ def coarse(shape: Sampled) -> Coarse | None:
     return Coarse(shape, copy, near, nearest_vertices(copy.mesh, copy.points))
 
 
-def registered(source: Coarse, target: Coarse, candidate: Candidate) -> Candidate:
+def registered(source: Coarse, target: Coarse, candidate: Candidate) -> Candidate | None:
     """The nearest points of the source and the target, the source deformed along a candidate.
 
     Copies of few vertices are deformed, as `esd.deformation.fit` does; matches that do not return
-    count little.
+    count little. None where the candidate leads to too few places to deform by.
     """
     here, there = source.shape, target.shape
     image = nearest(candidate.forward[0][source.near], candidate.forward[1])[0]
@@ -80,7 +80,10 @@ def registered(source: Coarse, target: Coarse, candidate: Candidate) -> Candidat
     miss = np.linalg.norm(here.points[source.near] - here.points[again], axis=1)
     index = target.vertex[image]
     weight = 1 / (1 + (miss / _MISS) ** 2)
-    found = fit(source.copy.mesh, target.copy.mesh, index, weight, quick=True)
+    try:
+        found = fit(source.copy.mesh, target.copy.mesh, index, weight, quick=True)
+    except InputError:
+        return None
     mesh = there.features.shape
     assert isinstance(mesh, Mesh) and isinstance(here.features.shape, Mesh)
     carried = source.copy.carried(found.vertices / np.sqrt(surface_area(mesh)))
