@@ -39,17 +39,22 @@ def test_what_fills_a_hole_is_not_drawn(blob):
 
 
 def test_descriptors_of_a_pair_are_those_of_both_and_end_at_the_limit(bodies):
-    rows = pair_descriptors(*bodies)
+    descriptors = pair_descriptors(*bodies)
+    rows = descriptors.rows()
     assert rows[0].shape == rows[1].shape == (512, 48)
     # standardised over both, cut off at three deviations: a mean square of at most nine
     assert 0.5 < np.mean([(each**2).sum(axis=1).mean() for each in rows]) < 9.5
-    there, here = pair_descriptors(*bodies[::-1])
+    some = descriptors.at(np.array([3, 5]), np.array([7]))
+    np.testing.assert_allclose(some[0], rows[0][[3, 5]], atol=1e-5)  # products in 32 bits
+    np.testing.assert_allclose(some[1], rows[1][[7]], atol=1e-5)
+    np.testing.assert_array_equal(descriptors.reversed().rows()[0], rows[1])
+    there, here = pair_descriptors(*bodies[::-1]).rows()
     # the axes have no sign, products no axes; 32 bits
     np.testing.assert_allclose(here @ there.T, rows[0] @ rows[1].T, atol=1e-3)
 
 
 def test_a_candidate_is_refined_from_its_start(bodies):
-    rows = pair_descriptors(*bodies)
+    rows = pair_descriptors(*bodies).rows()
     true = np.arange(len(bodies[0].posed.sample))
     same, values = (bodies[1], bodies[1]), (rows[1], rows[1])
     found = spectral_candidate("x", *same, values, start=(true, true), sizes=(8, 14, 20))

@@ -3,6 +3,7 @@ from dataclasses import replace
 import pytest
 
 from esd.common import InputError
+from esd.matching import choice
 from esd.matching.candidates import CANDIDATES
 from esd.matching.choice import check_candidates, chosen, elastic
 from esd.matching.judge import accuracy, cost
@@ -13,10 +14,10 @@ DOUBTFUL = {"lost": 0.8, "residual": 0.1}
 
 
 def test_the_choice_is_the_candidate_of_least_cost(pair):
-    choice = chosen(*pair)
-    assert set(choice.costs) <= set(CANDIDATES)
-    assert choice.costs[choice.candidate.name] == min(choice.costs.values())
-    assert accuracy(choice.evidence) > 0.9
+    best = chosen(*pair)
+    assert set(best.costs) <= set(CANDIDATES)
+    assert best.costs[best.candidate.name] == min(best.costs.values())
+    assert accuracy(best.evidence) > 0.9
     [only] = chosen(*pair, names=["extrinsic"]).costs
     assert only == "extrinsic"
 
@@ -74,3 +75,21 @@ def test_match_names_the_candidate(pair):
     found = match(pair[0].shape, pair[1].shape, candidates=["extrinsic", "descriptors"])
     assert set(found.judgement.costs) == {"extrinsic", "descriptors"}
     assert found.judgement.candidate == min(found.judgement.costs, key=found.judgement.costs.get)
+
+
+def test_a_sure_map_between_different_poses_needs_no_alignment(pair, monkeypatch):
+    sought = []
+
+    def aligned(*arguments, **keywords):
+        sought.append(arguments)
+        return original(*arguments, **keywords)
+
+    original = choice.aligned
+    monkeypatch.setattr(choice, "aligned", aligned)
+    monkeypatch.setattr(choice, "_SURE", 0.5)
+    monkeypatch.setattr(choice, "_NOT_AFFINE", 1.0)
+    chosen(*pair)
+    assert len(sought) == 1
+    monkeypatch.setattr(choice, "_NOT_AFFINE", 0.0)
+    assert set(chosen(*pair).costs) == {"embedding"}
+    assert len(sought) == 1

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 from scipy import linalg
 
 from esd.common import BoolArray, FloatArray, IntArray
@@ -18,6 +19,9 @@ from esd.mesh.mesh import Mesh
 from esd.nearest import nearest
 from esd.parallel import side_by_side
 from esd.spectral.spectrum import Spectrum
+
+Values = npt.NDArray[np.float32]
+"""Descriptors of vertices, (n, w)."""
 
 Rows = tuple[FloatArray, FloatArray]
 """Rows of the source's and of the target's vertices, (n, d) and (m, d)."""
@@ -99,6 +103,50 @@ class Candidate:
     forward: Rows
     backward: Rows
     embeddings: Rows | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PairDescriptors:
+    """Descriptors of a pair, standardised over both shapes, in their principal components.
+
+    Computed for the vertices that are asked for: judging a map takes a tenth of them. Rows have a
+    mean square of about nine at the most; NaN at vertices without a face.
+
+    Parameters
+    ----------
+    source, target : (n, w) and (m, w)
+        Descriptors of all vertices.
+    mean, deviation : (w,)
+        Of both shapes' samples.
+    centre : (w,)
+        Of what is standardised.
+    axes : (w, c)
+        Principal components.
+    """
+
+    source: Values
+    target: Values
+    mean: Values
+    deviation: Values
+    centre: Values
+    axes: Values
+
+    def at(self, here: IntArray, there: IntArray) -> Rows:
+        """Rows of some vertices of the source, and of some of the target."""
+        return self._rows(self.source[here]), self._rows(self.target[there])
+
+    def rows(self) -> Rows:
+        """Rows of all vertices of both shapes."""
+        return self._rows(self.source), self._rows(self.target)
+
+    def reversed(self) -> PairDescriptors:
+        """Those of the target and the source."""
+        return replace(self, source=self.target, target=self.source)
+
+    def _rows(self, values: Values) -> Values:
+        rows = _standard(values, self.mean, self.deviation)
+        rows -= self.centre
+        return np.asarray(rows @ self.axes, dtype=np.float32)
 
 
 def sampled(features: Features, *, seed: int = 0) -> Sampled:
@@ -204,38 +252,35 @@ def _rows(source: Sampled, target: Sampled, index: IntArray, embeddings: Rows, s
     )
 
 
-def pair_descriptors(source: Sampled, target: Sampled) -> Rows:
-    """Descriptors of the pair, standardised over both shapes, in their principal components.
-
-    Rows have a mean square of about nine at the most; NaN at vertices without a face.
-    """
-    both = np.concatenate([shape.features.values[shape.posed.sample] for shape in (source, target)])
+def pair_descriptors(source: Sampled, target: Sampled) -> PairDescriptors:
+    """The `PairDescriptors` of two shapes, fitted at their samples."""
+    values = source.features.values, target.features.values
+    both = np.concatenate([values[0][source.posed.sample], values[1][target.posed.sample]])
     # moments in 64 bits, all else in the 32 of the descriptors
-    mean = np.nanmean(both, axis=0, dtype=np.float64).astype(np.float32)
-    deviation = np.nanstd(both, axis=0, dtype=np.float64).astype(np.float32)
+    mean = np.asarray(np.nanmean(both, axis=0, dtype=np.float64), dtype=np.float32)
+    deviation = np.asarray(np.nanstd(both, axis=0, dtype=np.float64), dtype=np.float32)
     deviation[deviation == 0] = 1.0
-    scale = np.float32(_LIMIT / np.sqrt(both.shape[1]))
-
-    def standard(rows: FloatArray) -> FloatArray:
-        result = rows - mean
-        result /= deviation
-        np.clip(result, -_LIMIT, _LIMIT, out=result)
-        return result * scale
-
-    rows = standard(both)
+    rows = _standard(both, mean, deviation)
     rows = rows[np.isfinite(rows).all(axis=1)]
     centre = rows.mean(axis=0)
+    rows -= centre
     width = rows.shape[1]
     _, axes = linalg.eigh(
-        (rows - centre).T @ (rows - centre),
+        rows.T @ rows,
         subset_by_index=(max(0, width - _COMPONENTS), width - 1),
         overwrite_a=True,
         check_finite=False,
     )
-    return (
-        (standard(source.features.values) - centre) @ axes,
-        (standard(target.features.values) - centre) @ axes,
-    )
+    return PairDescriptors(*values, mean, deviation, centre, axes)
+
+
+def _standard(rows: Values, mean: Values, deviation: Values) -> Values:
+    """Rows without mean and of unit deviation, cut off, of a mean square of nine at the most."""
+    result = rows - mean
+    result /= deviation
+    np.clip(result, -_LIMIT, _LIMIT, out=result)
+    result *= np.float32(_LIMIT / np.sqrt(rows.shape[1]))
+    return result
 
 
 def extrinsic_candidate(source: Posed, target: Posed, *, name: str = "extrinsic") -> Candidate:

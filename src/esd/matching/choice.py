@@ -14,6 +14,7 @@ from esd.matching.candidates import (
     FROM_POSE,
     LANDMARK_CANDIDATES,
     Candidate,
+    PairDescriptors,
     Rows,
     Sampled,
     extrinsic_candidate,
@@ -36,6 +37,7 @@ CHAIN = "chain"
 _SURE = 0.97  # expected accuracy of a candidate beyond which shapes of other poses get no more
 _OF_A_LANDMARK = 1.0  # cost of leaving out one of four
 _ONE_POSE = 0.02  # in √area: residual of the map below which only details differ: skulls 0.01
+_NOT_AFFINE = 0.05  # in √area: residual of a sure map beyond which shapes are not of one pose
 _OTHER_POSE = 0.07  # residual of the alignment beyond which shapes are not of one pose
 
 
@@ -67,7 +69,7 @@ class Choice:
     contradicted: IntArray
     computed: tuple[tuple[Candidate, Evidence], ...]
     shapes: tuple[Sampled, Sampled]
-    descriptors: Rows
+    descriptors: PairDescriptors
 
 
 def check_candidates(names: Sequence[str], *, landmarks: bool = False) -> tuple[str, ...]:
@@ -98,7 +100,7 @@ def chosen(
 
     First come maps by embeddings and, unless these are sure, by the descriptors of the pair; the
     similarities that fit them are starts of the alignment as well. Where one of them is sure, it is
-    the only start, and if the alignment then shows shapes of different poses, that is all.
+    the only start; it is all, if it or the alignment then shows shapes of different poses.
 
     Parameters
     ----------
@@ -118,21 +120,30 @@ def chosen(
     names = check_candidates(names, landmarks=landmarks is not None)
     shapes = _both_sampled(source, target)
     descriptors = pair_descriptors(*shapes)
-    rows = {"embedding": (source.embedded, target.embedded), "descriptors": descriptors}
+    rows = {"embedding": (source.embedded, target.embedded)}
     found: list[tuple[Candidate, Evidence]] = []
-    for name in names:
-        # descriptors find nothing better than a model that is sure
-        if name in rows and not (name == "descriptors" and _is_sure(found)):
+
+    def add(name: str) -> None:
+        if name in names:
             candidate = spectral_candidate(name, shapes[0], shapes[1], rows[name])
-            found += _judged([candidate], shapes, descriptors)
+            found.extend(_judged([candidate], shapes, descriptors))
+
+    add("embedding")
+    # descriptors find nothing better than a model that is sure
+    if not _is_sure(found) or landmarks is not None:
+        rows["descriptors"] = descriptors.rows()
+        if not _is_sure(found):
+            add("descriptors")
     doubtful: IntArray = np.zeros(0, dtype=np.int64)
     if landmarks is not None:
         by_landmarks, doubtful = _by_landmarks(shapes, landmarks, rows, names, descriptors)
         found += by_landmarks
-    if any(name.startswith("extrinsic") for name in names):
+    if any(name.startswith("extrinsic") for name in names) and not _is_of_another_pose(found):
         sure = _is_sure(found)
         alignment = _aligned(shapes, [candidate for candidate, _ in found], search=not sure)
         if not sure or alignment.residual < _OTHER_POSE:
+            if "descriptors" not in rows:
+                rows["descriptors"] = descriptors.rows()
             found += _judged(_extrinsic(shapes, alignment, rows, names), shapes, descriptors)
     costs = {candidate.name: cost(each) for candidate, each in found}
     best = min(found, key=lambda each: costs[each[0].name])
@@ -219,14 +230,14 @@ def _by_landmarks(
     landmarks: IntArray,
     rows: dict[str, Rows],
     names: Sequence[str],
-    descriptors: Rows,
+    descriptors: PairDescriptors,
 ) -> tuple[list[tuple[Candidate, Evidence]], IntArray]:
     """Candidates by the landmarks, and the indices of those left out, in ascending order.
 
     Of few landmarks, a right one may seem contradicted: what is left out is what makes the map
     clearly better, and the more clearly, the fewer there are.
     """
-    order = contradicted(shapes[0], shapes[1], landmarks, descriptors)
+    order = contradicted(shapes[0], shapes[1], landmarks, rows["descriptors"])
     ways = []
     for count in range(len(order), -1, -1):
         sound = np.delete(landmarks, order[:count], axis=0)
@@ -240,6 +251,12 @@ def _by_landmarks(
 
 def _is_sure(found: Sequence[tuple[Candidate, Evidence]]) -> bool:
     return any(accuracy(each) >= _SURE for _, each in found)
+
+
+def _is_of_another_pose(found: Sequence[tuple[Candidate, Evidence]]) -> bool:
+    """Whether a candidate that is sure is so far from affine that no alignment is a good start."""
+    residuals = [each.residual for _, each in found if accuracy(each) >= _SURE]
+    return bool(residuals) and max(residuals) > _NOT_AFFINE
 
 
 def _aligned(
@@ -272,7 +289,7 @@ def _extrinsic(
 
 
 def _judged(
-    candidates: Sequence[Candidate], shapes: Sequence[Sampled], descriptors: Rows
+    candidates: Sequence[Candidate], shapes: Sequence[Sampled], descriptors: PairDescriptors
 ) -> list[tuple[Candidate, Evidence]]:
     source, target = shapes
 

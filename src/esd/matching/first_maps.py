@@ -158,12 +158,12 @@ def _mapped(pair: Pair, *, folder: Path) -> _MappedPair:
     """The map between two shapes by their descriptors, at their samples, and what it is worth."""
     source, target = (sampled(load_features(folder / str(number))) for number in pair)
     descriptors = pair_descriptors(source, target)
-    found = spectral_candidate("descriptors", source, target, descriptors)
+    found = spectral_candidate("descriptors", source, target, descriptors.rows())
     forward, backward = found.forward, found.backward
     turned = Candidate("descriptors", backward[::-1], forward[::-1], None)
     accuracies = (
         accuracy(evidence(source, target, found, descriptors)),
-        accuracy(evidence(target, source, turned, descriptors[::-1])),
+        accuracy(evidence(target, source, turned, descriptors.reversed())),
     )
     here, there = (np.load(folder / f"{number}-vertices.npy") for number in pair)
     forth, _ = nearest(forward[0][here], forward[1][there])

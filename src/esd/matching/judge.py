@@ -7,8 +7,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 from scipy.spatial import KDTree
 
-from esd.common import FloatArray, IntArray
-from esd.matching.candidates import Candidate, Rows, Sampled
+from esd.common import FloatArray
+from esd.matching.candidates import Candidate, PairDescriptors, Rows, Sampled
 from esd.nearest import nearest
 
 _FUNCTIONS = 25  # eigenfunctions of the functional map that is looked at
@@ -105,7 +105,9 @@ _ACCURACY = (
 _ACCURACY_CONSTANT = -6.381
 
 
-def evidence(source: Sampled, target: Sampled, candidate: Candidate, descriptors: Rows) -> Evidence:
+def evidence(
+    source: Sampled, target: Sampled, candidate: Candidate, descriptors: PairDescriptors
+) -> Evidence:
     """The evidence for a candidate, see `Evidence`.
 
     Parameters
@@ -153,16 +155,16 @@ def evidence(source: Sampled, target: Sampled, candidate: Candidate, descriptors
         gap=float(np.minimum(away, _LOST).mean()),
         residual=float(np.sqrt(((rows @ motion - there) ** 2).sum(axis=1).mean())),
         normals=float(np.einsum("ij,ij->i", moved, target.normals[image]).mean()),
-        descriptors=_mean_square(descriptors, corners, image),
+        descriptors=_mean_square(descriptors.at(corners, image)),
         embeddings=_mean_square(
-            (source.features.embedded, target.features.embedded), corners, image
+            (source.features.embedded[corners], target.features.embedded[image])
         ),
         **_spectral(source, target, candidate),
     )
 
 
-def _mean_square(rows: Rows, here: IntArray, there: IntArray) -> float:
-    return float(np.nanmean(((rows[0][here] - rows[1][there]) ** 2).sum(axis=1)))
+def _mean_square(rows: Rows) -> float:
+    return float(np.nanmean(((rows[0] - rows[1]) ** 2).sum(axis=1)))
 
 
 def _spectral(source: Sampled, target: Sampled, candidate: Candidate) -> dict[str, float]:
