@@ -15,12 +15,11 @@ import argparse
 import csv
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import TypeAlias
 
-import fast_simplification
 import numpy as np
+from real_triangles import decimated, with_long_triangles
 from scipy.spatial import KDTree
 
 from esd.common import FloatArray, IntArray
@@ -112,22 +111,11 @@ def inverted(share: float) -> Alter:
     )
 
 
-def decimated(mesh: Mesh, count: int) -> Mesh:
-    """By quadric error metrics: fewer triangles where the surface is flat."""
-    scale = np.sqrt(surface_area(mesh))
-    vertices, faces = fast_simplification.simplify(
-        (mesh.vertices / scale).astype(np.float32),
-        mesh.faces.astype(np.int32),
-        target_count=2 * count,
-    )
-    return Mesh(vertices.astype(float) * scale, faces)
-
-
 def stretched(mesh: Mesh) -> Mesh:
     """Long triangles: the surface is decimated while it is four times as tall."""
-    tall = np.array([1, 4, 1]) if np.ptp(mesh.vertices, axis=0).argmax() == 1 else [1, 1, 4]
-    made = decimated(subdivide(replace(mesh, vertices=mesh.vertices * tall)), 5000)
-    return replace(made, vertices=made.vertices / tall)
+    is_y = np.ptp(mesh.vertices, axis=0).argmax() == 1
+    axis = np.array([0.0, 1.0, 0.0] if is_y else [0.0, 0.0, 1.0])
+    return with_long_triangles(mesh, 5000, stretch=4.0, axis=axis)
 
 
 def disconnected(share: float) -> Alter:

@@ -15,7 +15,8 @@ from dataclasses import replace
 from itertools import product
 
 import numpy as np
-from robustness import decimated, stretched
+from real_triangles import decimated
+from robustness import stretched
 from scipy.spatial import KDTree
 
 from esd.datasets.collection import Shape
