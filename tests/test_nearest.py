@@ -45,3 +45,15 @@ def test_rows_within_reach_are_those_of_the_cells_that_a_group_may_go_to():
     assert (index[groups == 2] == -1).all()
     assert index[3] == -1
     assert products < 60 * 80
+
+
+def test_cells_without_rows_are_no_error_though_they_are_the_last():
+    source, target = np.array([[0.0], [5.0]]), np.array([[0.0], [4.0], [5.0]])
+    reach = [np.array([0, 2]), np.array([1, 3])]  # nothing is in cells 2 and 3
+    index, products = nearest_within(source, target, np.array([0, 1]), np.array([0, 1, 1]), reach)
+    np.testing.assert_array_equal(index, [0, 2])
+    assert products == 3
+    nothing, _ = nearest_within(
+        source, target, np.array([0, 0]), np.array([0, 1, 1]), [reach[0][:0]]
+    )
+    np.testing.assert_array_equal(nothing, [-1, -1])

@@ -138,7 +138,9 @@ def nearest_within(
     usable = np.flatnonzero(np.isfinite(source).all(axis=1))
     candidates = np.flatnonzero(np.isfinite(target).all(axis=1))
     members = _members(groups[usable], len(reach))
-    held = _members(cells[candidates], int(cells.max()) + 1)
+    # the last cells may have no rows: of samples at one place only one is nearest to any
+    known = max((int(wanted.max()) + 1 for wanted in reach if len(wanted)), default=0)
+    held = _members(cells[candidates], known)
     halves = np.einsum("ij,ij->i", target, target) / 2
     index = np.full(len(source), -1, dtype=np.int64)
     products = 0
