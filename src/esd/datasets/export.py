@@ -116,4 +116,4 @@ def _write_vts(vertex: IntArray, path: Path) -> None:
 
 def _write_lines(values: Sequence[object], path: Path) -> None:
     with whole_file(path) as temporary:
-        temporary.write_text("".join(f"{value}\n" for value in values), encoding="utf-8")
+        temporary.write_text("\n".join([*map(str, values), ""]), encoding="utf-8")

@@ -101,25 +101,24 @@ def copy_name(name: str, copy: int) -> str:
 @lru_cache(maxsize=4)  # mesh and correspondences are asked for one after the other
 def _remeshed(made: _Remeshing) -> tuple[Mesh, IntArray]:
     """The new mesh, and its vertex nearest to each old one or -1, from the user's cache."""
-    repaired = repair(made.shape.mesh(), all_pieces=True, restore=True)
-    old, place = repaired.shape, repaired.vertex_index
-    assert isinstance(old, Mesh)
+    old = made.shape.mesh()
 
     def compute() -> Arrays:
+        repaired = repair(old, all_pieces=True, restore=True)
+        sound, place = repaired.shape, repaired.vertex_index
+        assert isinstance(sound, Mesh)
+        new, nearest = sound, np.arange(len(sound.vertices))
         try:
-            new = remesh(old, made.vertex_count, style=made.style, seed=made.seed)
+            found = remesh(sound, made.vertex_count, style=made.style, seed=made.seed)
+            new, nearest = found.mesh, found.nearest
         except InputError as error:
             _log.warning("'%s' keeps its triangles: %s", made.shape.name, error)
-            return {
-                "vertices": old.vertices,
-                "faces": old.faces,
-                "nearest": np.arange(len(old.vertices)),
-            }
-        return {"vertices": new.mesh.vertices, "faces": new.mesh.faces, "nearest": new.nearest}
+        nearest = np.where(place >= 0, nearest[place], -1)
+        return {"vertices": new.vertices, "faces": new.faces, "nearest": nearest}
 
     store = default_cache()
     parameters = {"count": made.vertex_count, "style": str(made.style), "seed": made.seed}
-    key = content_key("remeshed", old.vertices, old.faces, **parameters)
+    # of the mesh as it came: what is found in the cache need not be repaired before
+    key = content_key("remeshed", old.vertices, old.faces, repaired=True, **parameters)
     arrays = compute() if store is None else store.computed(key, compute)
-    nearest = np.where(place >= 0, arrays["nearest"][place], -1)
-    return Mesh(arrays["vertices"], arrays["faces"]), nearest
+    return Mesh(arrays["vertices"], arrays["faces"]), arrays["nearest"]
