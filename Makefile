@@ -25,7 +25,7 @@ docs: .venv/dev
 # the tables of the docs, beside other packages; a quarter of an hour on two idle cores
 bench: .venv/dev
 	for question in 'eigensolver --rounds 2' 'descriptors --rounds 2' refinement match growth; do \
-	  set -- $$question; echo "$$1:"; $(BIN)/python benchmarks/$$1.py $$2 $$3 || exit 1; \
+	  set -- $$question; echo "$$1:"; $(BIN)/python benchmarks/$$1.py $$2 $$3 $(if $(PEERS),--peers $(PEERS)) || exit 1; \
 	done
 
 .venv/demo: pyproject.toml constraints.txt

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 from eigensolver import bumpy_torus
-from measure import cost, job, row, table
+from measure import add_peers_option, cost, job, row, table
 
 from esd.descriptors.hks import heat_times, hks
 from esd.descriptors.wks import wave_energies, wks
@@ -34,6 +34,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--sizes", type=int, nargs="+", default=[5000, 20000])
     parser.add_argument("--rounds", type=int, default=3)
+    add_peers_option(parser)
     options = parser.parse_args()
     table("n", "", "HKS, s", "WKS, s", "difference of HKS", "of WKS")
     for size in options.sizes:

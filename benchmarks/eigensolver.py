@@ -22,7 +22,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-from measure import python_of
+from measure import add_peers_option, python_of
 from scipy import sparse
 from scipy.sparse import linalg
 
@@ -192,6 +192,7 @@ def main():
     parser.add_argument("-k", type=int, default=300)
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--no-reference", action="store_true", help="no errors: much less time")
+    add_peers_option(parser)
     options = parser.parse_args()
     print(
         "| n | method | wall s | CPU s | × wall | × CPU | peak MB | λ | HKS | WKS | |\n"

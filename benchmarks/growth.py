@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 from match import PAIRS
-from measure import cost, esd_command, job, row, table
+from measure import add_peers_option, cost, esd_command, job, row, table
 from scipy.spatial import cKDTree
 
 from esd.datasets.open import open_collection
@@ -49,6 +49,7 @@ def main() -> None:
     parser.add_argument("--pair", default=PAIRS[0], help="SOURCE,TARGET")
     parser.add_argument("--subdivide", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=list(METHODS))
+    add_peers_option(parser)
     options = parser.parse_args()
     collection = open_collection(options.dataset)
     shapes = [collection[name] for name in options.pair.split(",")]

@@ -18,7 +18,7 @@ from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
-from measure import Cost, cost, esd_command, job, row, table
+from measure import Cost, add_peers_option, cost, esd_command, job, row, table
 
 from esd.datasets.open import open_collection
 from esd.evaluation.errors import geodesic_errors
@@ -56,6 +56,7 @@ def main() -> None:
     parser.add_argument("--pairs", nargs="+", default=PAIRS, help="SOURCE,TARGET")
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=list(METHODS))
     parser.add_argument("--rounds", type=int, default=2)
+    add_peers_option(parser)
     options = parser.parse_args()
     collection = open_collection(options.dataset)
     best: dict[tuple[str, str], Cost] = {}

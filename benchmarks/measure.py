@@ -1,8 +1,13 @@
-"""What the benchmarks share: environments of other packages, and what a process costs."""
+"""What the benchmarks share: environments of other packages, and what a process costs.
+
+    python benchmarks/measure.py --peers FOLDER      # installs them all there, before measuring
+"""
 
 from __future__ import annotations
 
+import argparse
 import os
+import re
 import subprocess
 import sys
 import tempfile
@@ -35,17 +40,36 @@ class Cost:
 
 
 def python_of(peer: str) -> Path:
-    """The Python of a package's own environment, which is made where it is missing."""
-    folder = ROOT / ".venv" / "peers" / peer
+    """The Python of a package's own environment, which is made where it is missing.
+
+    It is kept, with what was installed, in the folder that ESD_PEERS or `--peers` names.
+    """
+    folder = Path(os.environ.get("ESD_PEERS") or ROOT / ".venv" / "peers") / peer
     python = folder / "bin" / "python"
     done = folder / "installed"
-    wanted = "\n".join(PEERS[peer])
+    wanted = "\n".join(PEERS[peer]) if peer != "esd" else _dependencies()
     if not done.exists() or done.read_text() != wanted:
         print(f"installing {' '.join(PEERS[peer])}", file=sys.stderr)
         venv.create(folder, with_pip=True)
         subprocess.run([python, "-m", "pip", "install", "--quiet", *PEERS[peer]], check=True)
         done.write_text(wanted)
     return python
+
+
+def _dependencies() -> str:
+    """What esd needs, as its project file lists it; its source is read from this folder."""
+    text = (ROOT / "pyproject.toml").read_text()
+    return re.search(r"^dependencies = \[.*?^\]", text, re.DOTALL | re.MULTILINE)[0]
+
+
+def add_peers_option(parser: argparse.ArgumentParser) -> None:
+    """Add `--peers FOLDER`, where environments of other packages are kept."""
+
+    def keep(folder: str) -> str:
+        os.environ["ESD_PEERS"] = str(Path(folder).resolve())
+        return folder
+
+    parser.add_argument("--peers", type=keep, help="folder of the other packages' environments")
 
 
 def esd_command(*arguments: object) -> list[str]:
@@ -89,3 +113,15 @@ def table(*columns: str) -> None:
 
 def row(*cells: object) -> None:
     print("| " + " | ".join(map(str, cells)) + " |", flush=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    add_peers_option(parser)
+    parser.parse_args()
+    for peer in PEERS:
+        print(f"{peer}: {python_of(peer)}")
+
+
+if __name__ == "__main__":
+    main()

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 from match import PAIRS
-from measure import cost, job, row, table
+from measure import add_peers_option, cost, job, row, table
 
 from esd.datasets.open import open_collection
 from esd.evaluation.errors import geodesic_errors
@@ -71,6 +71,7 @@ def main() -> None:
     parser.add_argument("dataset", nargs="?", default="bodies")
     parser.add_argument("--pairs", nargs="+", default=PAIRS, help="SOURCE,TARGET")
     parser.add_argument("--rounds", type=int, default=2)
+    add_peers_option(parser)
     options = parser.parse_args()
     collection, model = open_collection(options.dataset), load_model("default")
     seconds: dict[str, list[float]] = {}
