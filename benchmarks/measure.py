@@ -1,6 +1,6 @@
 """What the benchmarks share: environments of other packages, and what a process costs.
 
-    python benchmarks/measure.py --peers FOLDER      # installs them all there, before measuring
+python benchmarks/measure.py --peers FOLDER      # installs them all there, before measuring
 """
 
 from __future__ import annotations

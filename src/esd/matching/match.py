@@ -24,11 +24,12 @@ from esd.matching.landmarks import check_landmarks
 from esd.matching.local_refine import Level, levels, local_zoomout
 from esd.matching.partial import PartMap, consistent_share
 from esd.matching.parts import MISFITS, Scale, best_part_map
+from esd.matching.points import accuracy_of_points, evidence_of_points, with_surface
 from esd.matching.refine import SIZES, joint_rows, mean_squared_distance
 from esd.matching.registered import REGISTERED
 from esd.mesh.convert import MeshLike
 from esd.mesh.geometry import is_referenced
-from esd.mesh.mesh import Mesh, PointCloud
+from esd.mesh.mesh import Mesh
 from esd.mesh.repair.repair import Repaired, repair
 from esd.nearest import nearest
 from esd.parallel import side_by_side
@@ -322,7 +323,12 @@ def match_features(
     index = assignment(*rows) if one_to_one else (maps.index if parts is None else parts.forward)
     if parts is None:
         found = with_similarity(source.embedded, target.embedded, index, margin=model.margin)
-        found = _judged(found, maps.back, source, target, expected)
+        if not is_mesh:
+            surfaces = with_surface(source), with_surface(target)
+            expected = accuracy_of_points(evidence_of_points(*surfaces, index, maps.back))
+            found = _judged(found, maps.back, *surfaces, expected)
+        else:
+            found = _judged(found, maps.back, source, target, expected)
     else:
         embeddings = parts.source.embedded, parts.target.embedded
         found = with_similarity(*embeddings, index, margin=None)
@@ -533,9 +539,8 @@ def _judged(
     target: Features,
     expected: float | None,
 ) -> Correspondence:
-    """The map with its confidence and a judgement; points without faces give no evidence."""
-    if isinstance(source.shape, PointCloud) or isinstance(target.shape, PointCloud):
-        return match
+    """The map between two meshes with its confidence and a judgement."""
+    assert isinstance(source.shape, Mesh) and isinstance(target.shape, Mesh)
     values = confidence(source.shape, target.shape, match.target_index, back, accuracy=expected)
     counted = None
     if source.copy is None and target.copy is None:

@@ -1,13 +1,16 @@
-"""Points without faces: triangles between neighbours, by which they can be drawn."""
+"""Points without faces: triangles between neighbours, by which they can be drawn and judged."""
 
 from __future__ import annotations
 
 import numpy as np
+from scipy import sparse
+from scipy.sparse import csgraph
 from scipy.spatial import Delaunay, KDTree, QhullError
 
 from esd.common import FloatArray, InputError, IntArray
+from esd.mesh.geometry import unit
 from esd.mesh.mesh import Mesh, PointCloud
-from esd.mesh.topology import oriented_outward
+from esd.mesh.topology import edge_table, with_flipped
 
 _NEIGHBOURS = 12
 _LONGEST = 4.0  # times the usual distance of neighbours, beyond which a triangle spans a gap
@@ -18,7 +21,8 @@ def surface_between(points: PointCloud) -> Mesh:
     """Triangles between neighbouring points, on all of the points; for pictures, not to measure by.
 
     Around each point, its nearest neighbours are projected to the plane that fits them best and
-    triangulated there. A triangle counts if at least two of its corners find it.
+    triangulated there. A triangle counts if at least two of its corners find it. The triangles
+    overlap here and there and leave small gaps; nearly all of them face outward.
 
     Raises
     ------
@@ -42,7 +46,39 @@ def surface_between(points: PointCloud) -> Mesh:
     faces = faces[(longest <= _LONGEST * np.median(gap[:, 1:5])) & (area > _THINNEST * longest**2)]
     if len(faces) == 0:
         raise InputError("No surface can be seen between the points; are they on a line?")
-    return oriented_outward(Mesh(vertices, faces))
+    return _facing_outward(Mesh(vertices, faces))
+
+
+def _facing_outward(mesh: Mesh) -> Mesh:
+    """The mesh with normals that vary little along a minimum spanning tree of its faces.
+
+    Edges of three faces, and triangles that overlap, leave no orientation by the sides alone.
+
+    References
+    ----------
+    Hoppe et al. 1992, *Surface reconstruction from unorganized points*, section 3.3.
+    """
+    a, b, c = np.moveaxis(mesh.vertices[mesh.faces], 1, 0)
+    normals = unit(np.cross(b - a, c - a))
+    adjacent = edge_table(mesh.faces, len(mesh.vertices)).adjacent_sides() // 3
+    cosine = np.einsum("ij,ij->i", normals[adjacent[:, 0]], normals[adjacent[:, 1]])
+    count = len(mesh.faces)
+    bend = 1.001 - np.abs(cosine)  # a weight of zero would be no edge of the graph
+    graph = sparse.coo_array((bend, tuple(adjacent.T)), shape=(count, count)).tocsr()
+    tree = csgraph.minimum_spanning_tree(graph)
+    pieces, piece = csgraph.connected_components(tree, directed=False)
+    side = np.ones(count)
+    for root in np.unique(piece, return_index=True)[1]:
+        order, before = csgraph.breadth_first_order(tree, root, directed=False)
+        for face in order[1:]:  # each after the one that it follows
+            agrees = normals[face] @ normals[before[face]] > 0
+            side[face] = side[before[face]] * (1 if agrees else -1)
+    # the volume below each triangle, seen from the middle of its piece
+    middle = np.stack([np.bincount(piece, m) for m in (a + b + c).T / 3], axis=1)
+    centre = (middle / np.bincount(piece)[:, None])[piece]
+    volume = side * np.einsum("ij,ij->i", a - centre, np.cross(b - centre, c - centre))
+    outward = np.where(np.bincount(piece, volume, minlength=pieces) < 0, -1, 1)
+    return with_flipped(mesh, side * outward[piece] < 0)
 
 
 def _fan(vertices: FloatArray, around: IntArray) -> IntArray:

@@ -22,6 +22,7 @@ def test_names_have_spaces_and_backslashes_and_images_are_converted(tmp_path, na
     (tmp_path / "m.obj").write_text(OBJ + "usemtl a b\n" + FACE)
     texture = read_texture(tmp_path / "m.obj")
     assert texture.image.mode == "RGB"
+    assert min(texture.image.getpixel((1, 1))) > 250  # CMYK without ink is white
     np.testing.assert_array_equal(texture.coordinates, [[[0, 0], [1, 0], [0, 1]]])
 
 
