@@ -177,7 +177,11 @@ def test_points_are_described_and_matched(blob):
     found = match(cloud, blob, model=MODEL)
     assert found.target_index[len(blob.vertices)] == -1
     assert found.target_index[-1] == found.target_index[0]
-    assert found.confidence[: len(blob.vertices)].mean() > 0.5
+    same = match(cloud, PointCloud(blob.vertices), model=MODEL)
+    assert (same.target_index[: len(blob.vertices)] == np.arange(len(blob.vertices))).all()
+    assert same.confidence[: len(blob.vertices)].mean() > 0.9
+    # the Laplacian of points is another than that of faces
+    assert found.confidence.mean() < same.confidence.mean()
     two = PointCloud(np.concatenate([blob.vertices, blob.vertices + 100]))
     assert spectrum(two, 20).zero_modes == 2
 
