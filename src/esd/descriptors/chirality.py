@@ -80,10 +80,15 @@ def gradient_products(
             "a model of HKS or WKS alone."
         )
     f, g = pairs.T
-    to_vertices = _thirds(mesh)
-    steps = [fields[mesh.faces[:, i - 1]] - fields[mesh.faces[:, i - 2]] for i in range(3)]
+    dtype = spectrum.eigenvectors.dtype
+    to_vertices = _thirds(mesh).astype(dtype)
+    # differences in 64 bits: neighbours differ little
+    steps = [
+        (fields[mesh.faces[:, i - 1]] - fields[mesh.faces[:, i - 2]]).astype(dtype, copy=False)
+        for i in range(3)
+    ]
     # across a sliver a gradient is a small difference over a smaller length: mostly error
-    weights = np.where(quality(mesh)[:, None] < SLIVER, 0.0, cotangents(mesh))
+    weights = np.where(quality(mesh)[:, None] < SLIVER, 0.0, cotangents(mesh)).astype(dtype)
     every = np.arange(fields.shape[1])
     squared = to_vertices @ _inner(weights, steps, every, every)
     product = to_vertices @ (
@@ -125,7 +130,7 @@ def _inner(
     weights: FloatArray, steps: Sequence[FloatArray], f: IntArray, g: IntArray
 ) -> FloatArray:
     """Integral of ⟨∇f, ∇g⟩ over each face, (m, p), by the cotangents opposite its sides."""
-    result = np.zeros((len(weights), len(f)))
+    result = np.zeros((len(weights), len(f)), dtype=weights.dtype)
     for side, step in enumerate(steps):
         scaled = (weights[:, side, None] / 2 * step)[:, f]
         scaled *= step[:, g]
