@@ -84,9 +84,11 @@ def select(
     force: ForceOption = False,
 ) -> None:
     """Write some frames of each subject of Dyna or D-FAUST to a small file, to work with."""
+    from esd.cli.progress import progress
     from esd.datasets.dyna import save_selection
 
     output = output or Path(f"{path.stem}-selection.hdf5")
     destination(output, force=force, inputs=[path, *(path.glob("*") if path.is_dir() else ())])
-    count = save_selection(path, output, per_subject=per_subject, seed=seed)
+    with progress("selecting"):
+        count = save_selection(path, output, per_subject=per_subject, seed=seed)
     tell(f"{count} frames written to {output}")

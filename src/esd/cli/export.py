@@ -16,6 +16,7 @@ from esd.cli.options import (
     TruthOption,
 )
 from esd.cli.output import destination, tell
+from esd.cli.progress import progress
 from esd.cli.shapes import read_shape
 from esd.cli.view import true_error
 
@@ -56,16 +57,17 @@ def export(
         raise typer.BadParameter("Give --truth or --points, not both.")
     inputs = [source, target, map, *([truth] if truth else []), *(points or ())]
     destination(path, force=force, inputs=inputs)
-    shapes = read_shape(source), read_shape(target)
-    match = load_map(
-        map, source_count=len(shapes[0].vertices), target_count=len(shapes[1].vertices)
-    )
-    if path.suffix.lower() in ATTRIBUTE_FORMATS:
-        attributes = match.attributes()
-        error = true_error(*shapes, match, truth, points)
-        if error is not None:
-            attributes["error"] = error
-        write_with_attributes(shapes[0], attributes, path)
-    else:
-        save_map(match, path)
+    with progress("writing"):
+        shapes = read_shape(source), read_shape(target)
+        match = load_map(
+            map, source_count=len(shapes[0].vertices), target_count=len(shapes[1].vertices)
+        )
+        if path.suffix.lower() in ATTRIBUTE_FORMATS:
+            attributes = match.attributes()
+            error = true_error(*shapes, match, truth, points)
+            if error is not None:
+                attributes["error"] = error
+            write_with_attributes(shapes[0], attributes, path)
+        else:
+            save_map(match, path)
     tell(f"written to {path}")

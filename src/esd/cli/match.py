@@ -134,10 +134,10 @@ def match(
                 full=full,
                 cache=cache,
             )
-    if reject:
-        result = result.rejecting(loaded.threshold())
-    result = result.confident(min_confidence)
-    save_map(result, path)
+        if reject:
+            result = result.rejecting(loaded.threshold())
+        result = result.confident(min_confidence)
+        save_map(result, path)
     matched, judged = result.is_matched(), result.judgement
     summary = {
         "model": loaded.name,

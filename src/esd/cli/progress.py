@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 
 from esd.cli.output import is_quiet
 
@@ -54,24 +55,49 @@ def _bar(what: str, total: int | None) -> Iterator[Callable[[int], None]]:
         yield lambda count: bar.advance(task, count)
 
 
+@dataclass(eq=False)
+class _Count:
+    """How many of a number of things are done."""
+
+    total: int | None
+    done: int = 0
+
+
+_counts: list[_Count] = []  # of the steps of a command, of which one after the other is done
+
+
 @contextmanager
 def _lines(what: str, total: int | None) -> Iterator[Callable[[int], None]]:
-    start, done, ended = time.monotonic(), 0, threading.Event()
+    count, ended = _Count(total), threading.Event()
+    start = time.monotonic()
 
-    def advance(count: int) -> None:
-        nonlocal done
-        done += count
+    def advance(more: int) -> None:
+        count.done += more
 
     def report() -> None:
+        nonlocal start
         while not ended.wait(SILENCE):
-            count = f" {done} of {total}," if total else ""
-            seconds = time.monotonic() - start
-            print(f"esd: {what}:{count} {seconds:.0f} s", file=sys.stderr, flush=True)
+            unfinished = (each for each in _counts if each.total is None or each.done < each.total)
+            if next(unfinished, count) is not count:
+                start = time.monotonic()  # its turn has not come
+                continue
+            _report(what, count, time.monotonic() - start)
 
     thread = threading.Thread(target=report, daemon=True)
+    _counts.append(count)
     thread.start()
     try:
         yield advance
     finally:
         ended.set()
         thread.join()
+        _counts.remove(count)
+
+
+def _report(what: str, count: _Count, seconds: float) -> None:
+    number = left = ""
+    if count.total:
+        number = f" {count.done} of {count.total},"
+    if count.total and count.done:
+        left = f", about {seconds * (count.total - count.done) / count.done:.0f} s left"
+    print(f"esd: {what}:{number} {seconds:.0f} s{left}", file=sys.stderr, flush=True)

@@ -57,13 +57,13 @@ def view(
         raise typer.BadParameter("Give --truth or --points, not both.")
     if up is not None and up not in AXES:
         raise typer.BadParameter(f"--up takes one of {', '.join(AXES)}; got '{up}'.")
-    source_mesh, target_mesh = read_shown(source), read_shown(target)
-    counts = {
-        "source_count": len(source_mesh.vertices),
-        "target_count": len(target_mesh.vertices),
-    }
-    match = read_map(map, **counts)
     with progress("drawing"):
+        source_mesh, target_mesh = read_shown(source), read_shown(target)
+        counts = {
+            "source_count": len(source_mesh.vertices),
+            "target_count": len(target_mesh.vertices),
+        }
+        match = read_map(map, **counts)
         error = true_error(source_mesh, target_mesh, match, truth, points)
         write_page((source, source_mesh), (target, target_mesh), match, path, error=error, up=up)
     tell(f"written to {path}")
