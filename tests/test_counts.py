@@ -5,8 +5,9 @@ import tracemalloc
 
 import numpy as np
 
+from esd import nearest as neighbours
 from esd.learning.model import load_model
-from esd.matching import batch, match
+from esd.matching import batch, candidates, extrinsic, local_refine, match
 from esd.mesh.shapes import icosphere, subdivide
 from esd.nearest import nearest
 from esd.parallel import Outcome
@@ -76,3 +77,36 @@ def test_dense_meshes_are_matched_by_coarse_copies(monkeypatch):
     for mesh in (icosphere(1), icosphere(2), icosphere(3)):
         match.working_features(match.prepared(mesh), model=load_model("hks"), refine=True)
     assert described == [None, match.COARSE, match.COARSE]
+
+
+def test_a_match_takes_products_of_rows_in_proportion_to_the_vertices(blob, monkeypatch):
+    """From repaired shapes to the verdict, with candidates and refinement, without copies."""
+    products = []
+
+    def by_products(source, target, device):
+        products[-1] += len(source) * len(target)
+        return original[0](source, target, device)
+
+    def within(source, target, *arguments):
+        index, taken = original[1](source, target, *arguments)
+        products[-1] += taken
+        return index, taken
+
+    original = neighbours._by_products, local_refine.nearest_within
+    monkeypatch.setattr(neighbours, "_by_products", by_products)
+    monkeypatch.setattr(local_refine, "nearest_within", within)
+    # so few samples that their own products, which are bounded, are few
+    for module, name, count in (
+        (local_refine, "_SAMPLES", 60),
+        (extrinsic, "_SAMPLES", 60),
+        (candidates, "_TRIANGLES", 20),
+    ):
+        monkeypatch.setattr(module, name, count)
+    for mesh in (blob, subdivide(blob)):
+        products.append(0)
+        model = load_model("wks")
+        found = match.match(
+            mesh, mesh, model=model, refine=True, full=True, candidates=["embedding"]
+        )
+        assert found.judgement is not None
+    assert 0 < products[1] < 8 * products[0]  # 4 times the vertices; 16 times by the square
