@@ -16,7 +16,9 @@ from __future__ import annotations
 
 import argparse
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -590,8 +592,27 @@ def part_labels(bones: list[str], weights: np.ndarray) -> np.ndarray:
     return share.argmax(axis=1).astype(np.uint8)
 
 
-def make(seed: int) -> tuple[Pack, dict[str, int]]:
-    """The bodies, and the number of self-intersections of each shape."""
+@dataclass(frozen=True)
+class Skin:
+    """The template on the bones of the model: (n, b) weights of the b bones that move it."""
+
+    model: Any
+    template: Template
+    weights: np.ndarray
+    moving: np.ndarray
+
+    def rest(self, phenotype: tuple[float, ...]) -> np.ndarray:
+        """Vertices of a symmetric subject at rest, (n, 3)."""
+        shape = self.template.means @ rest_shape(self.model, phenotype)
+        return (shape + shape[self.template.mirror] * [-1, 1, 1]) / 2
+
+    def bones(self) -> list[str]:
+        """Names of the bones that move it."""
+        return [b for b, m in zip(self.model.bone_labels, self.moving, strict=True) if m]
+
+
+def skin() -> Skin:
+    """The template and its bones, of the body model."""
     model = anny.Anny(topology="anny-noeyes-notongue", phenotypes="all", skinning_method="lbs").to(
         torch.float64
     )
@@ -610,44 +631,68 @@ def make(seed: int) -> tuple[Pack, dict[str, int]]:
             weights[:, model.bone_labels.index(f"foot.{label[-1]}")] += weights[:, bone]
             weights[:, bone] = 0
     moving = weights.max(axis=0) > 0
-    weights = weights[:, moving]
-    bones = [b for b, m in zip(model.bone_labels, moving, strict=True) if m]
+    return Skin(model, template, weights[:, moving], moving)
 
-    spread = sampled(len(weights), count=SAMPLES)
+
+def least_crossing(
+    skin: Skin,
+    phenotype: tuple[float, ...],
+    draw: Callable[[], dict[str, Rotation]],
+    *,
+    tries: int,
+    enough: int,
+) -> tuple[int, np.ndarray, np.ndarray]:
+    """Of some draws of a pose, the one with the fewest self-intersections.
+
+    Their number, the motion of the bones, (b, 3, 4), and the vertices, (n, 3), the lowest of them
+    on the floor. It stops at a pose with no more than `enough`.
+    """
+    shape = skin.rest(phenotype)
+    found = []
+    for _ in range(tries):
+        motion = bone_motions(skin.model, phenotype, draw())[skin.moving]
+        motion[:, 2, 3] -= skinned(shape, skin.weights, motion)[:, 2].min()  # stand
+        points = skinned(shape, skin.weights, motion)
+        crossing = self_intersections(Mesh(points, skin.template.faces))
+        found.append((crossing, motion, points))
+        if crossing <= enough:
+            break
+    return min(found, key=lambda each: each[0])
+
+
+def drawn_rotations(
+    family: int, random: np.random.Generator, heads: dict[str, np.ndarray], *, weight: float
+) -> dict[str, Rotation]:
+    """Rotations of the bones in one pose of a family, to the left or the right."""
+    side = "L" if random.random() < 0.5 else "R"
+    return bone_rotations(eased(draw_pose(family, random), weight=weight), heads, side)
+
+
+def make(seed: int) -> tuple[Pack, dict[str, int]]:
+    """The bodies, and the number of self-intersections of each shape."""
+    made = skin()
+    spread = sampled(len(made.weights), count=SAMPLES)
     rest, motions, samples, crossings = [], [], [], {}
     for number, (subject, phenotype) in enumerate(SUBJECTS.items()):
-        shape = template.means @ rest_shape(model, phenotype)
-        shape = (shape + shape[template.mirror] * [-1, 1, 1]) / 2
-        rest.append(shape)
-        heads = joints(model, phenotype)
+        rest.append(made.rest(phenotype))
+        heads = joints(made.model, phenotype)
         random = np.random.default_rng([seed, number])
         for family in range(POSES):
-            best: tuple[int, np.ndarray, np.ndarray] | None = None
-            for _ in range(TRIES):
-                side = "L" if random.random() < 0.5 else "R"
-                pose = eased(draw_pose(family, random), weight=phenotype[3])
-                turns = bone_rotations(pose, heads, side)
-                motion = bone_motions(model, phenotype, turns)[moving]
-                motion[:, 2, 3] -= skinned(shape, weights, motion)[:, 2].min()  # stand
-                points = skinned(shape, weights, motion)
-                crossing = self_intersections(Mesh(points, template.faces))
-                if best is None or crossing < best[0]:
-                    best = crossing, motion, points
-                if crossing <= 8:
-                    break
-            assert best is not None
+            turns = partial(drawn_rotations, family, random, heads, weight=phenotype[3])
             name = f"{subject}_p{family:02d}"
-            crossings[name], motion, points = best
+            crossings[name], motion, points = least_crossing(
+                made, phenotype, turns, tries=TRIES, enough=8
+            )
             motions.append(motion)
             samples.append(points[spread])
             print(name, crossings[name], flush=True)
     pack = Pack(
         rest=np.stack(rest),
-        faces=template.faces,
-        weights=weights,
+        faces=made.template.faces,
+        weights=made.weights,
         motions=np.stack(motions).reshape(len(SUBJECTS), POSES, -1, 3, 4),
-        mirror=template.mirror,
-        parts=part_labels(bones, weights),
+        mirror=made.template.mirror,
+        parts=part_labels(made.bones(), made.weights),
         samples=np.stack(samples).reshape(len(SUBJECTS), POSES, SAMPLES, 3),
     )
     return pack, crossings
