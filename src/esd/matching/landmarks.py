@@ -197,8 +197,17 @@ def contradicted(
     """
     left = np.arange(len(landmarks))
     dropped: list[int] = []
+    if len(left) < _FEWEST_TO_DOUBT:
+        return np.array(dropped, dtype=np.int64)
+    near = (
+        landmark_rows(_mesh(source), landmarks[:, 0]),
+        landmark_rows(_mesh(target), landmarks[:, 1]),
+    )
+    away = geodesic_graph(_mesh(target)).distances(landmarks[:, 1])
+    away /= np.sqrt(surface_area(_mesh(target)))
     while len(left) >= _FEWEST_TO_DOUBT:
-        miss = _misses(source, target, landmarks[left], descriptors)
+        rows = near[0][:, left], near[1][:, left]
+        miss = _misses(source, target, landmarks[left], rows, away[left], descriptors)
         worst = int(miss.argmax())
         if miss[worst] <= max(_ASTRAY, _TIMES * float(np.median(miss))):
             break
@@ -207,16 +216,25 @@ def contradicted(
     return np.array(dropped, dtype=np.int64)
 
 
-def _misses(source: Sampled, target: Sampled, landmarks: IntArray, descriptors: Rows) -> FloatArray:
-    """Distances, (l,), from each landmark to where a map by the others sends it, over √area."""
-    count = len(landmarks)
-    fold = np.arange(count) % min(count, _FOLDS)
-    near = [
-        landmark_rows(_mesh(shape), column)
-        for shape, column in zip((source, target), landmarks.T, strict=True)
-    ]
-    graph = geodesic_graph(_mesh(target))
-    miss = np.empty(count)
+def _misses(
+    source: Sampled,
+    target: Sampled,
+    landmarks: IntArray,
+    near: Rows,
+    away: FloatArray,
+    descriptors: Rows,
+) -> FloatArray:
+    """Distances, (l,), from each landmark to where a map by the others sends it.
+
+    Parameters
+    ----------
+    near
+        Of `landmark_rows`, a column for each landmark.
+    away : (l, m)
+        Distances from each landmark of the target to all vertices.
+    """
+    fold = np.arange(len(landmarks)) % min(len(landmarks), _FOLDS)
+    miss = np.empty(len(landmarks))
 
     def without(left_out: int) -> tuple[IntArray, FloatArray]:
         used = fold != left_out
@@ -226,12 +244,11 @@ def _misses(source: Sampled, target: Sampled, landmarks: IntArray, descriptors: 
         found = rows_one_way(source, target, embeddings)
         out = np.flatnonzero(~used)
         image = nearest(found[0][landmarks[out, 0]], found[1])[0]
-        distance = graph.distances(landmarks[out, 1])
-        return out, distance[np.arange(len(out)), image]
+        return out, away[out, image]
 
     for out, distance in side_by_side(without, np.unique(fold).tolist()):
         miss[out] = distance
-    return np.asarray(miss / np.sqrt(surface_area(_mesh(target))))
+    return miss
 
 
 def _beside(
