@@ -1,5 +1,6 @@
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from esd.common import InputError
@@ -7,7 +8,7 @@ from esd.matching import choice
 from esd.matching.candidates import CANDIDATES
 from esd.matching.choice import check_candidates, chosen, elastic
 from esd.matching.judge import accuracy, cost
-from esd.matching.match import match
+from esd.matching.match import _full_maps, _tightened, match
 from esd.matching.registered import REGISTERED
 
 DOUBTFUL = {"lost": 0.8, "residual": 0.1}
@@ -93,3 +94,17 @@ def test_a_sure_map_between_different_poses_needs_no_alignment(pair, monkeypatch
     monkeypatch.setattr(choice, "_NOT_AFFINE", 0.0)
     assert set(chosen(*pair).costs) == {"embedding"}
     assert len(sought) == 1
+
+
+@pytest.mark.parametrize("best", ["refined", "registered again", "as it came"])
+def test_of_a_registered_pair_the_map_of_least_cost_is_taken(pair, monkeypatch, best):
+    doubtful = chosen(*pair)
+    found = elastic(replace(doubtful, evidence=replace(doubtful.evidence, **DOUBTFUL)))
+    refined = _full_maps(*pair, found.candidate, refine=True, device="cpu")
+    order = ["refined", "registered again", "as it came"]  # in which their costs are asked for
+    costs = iter([float(name != best) for name in order])
+    monkeypatch.setattr("esd.matching.match.cost", lambda _: next(costs))
+    taken = _tightened(*pair, found, refined, device="cpu")
+    raw = _full_maps(*pair, found.candidate, refine=False, device="cpu")
+    assert (taken is refined) == (best == "refined")
+    assert np.array_equal(taken.index, raw.index) == (best == "as it came")

@@ -182,6 +182,12 @@ def sampled(features: Features, *, seed: int = 0) -> Sampled:
     )
 
 
+def candidate_of(source: Sampled, target: Sampled, index: IntArray, back: IntArray) -> Candidate:
+    """The candidate that a map between all vertices, (n,), and a map back, (m,), are."""
+    there, here = target.points, source.points
+    return Candidate("", (there[index], there), (here, here[back]), None)
+
+
 def spectral_candidate(
     name: str,
     source: Sampled,

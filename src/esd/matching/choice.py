@@ -27,7 +27,14 @@ from esd.matching.extrinsic import Alignment, aligned, deformed
 from esd.matching.features import Features
 from esd.matching.judge import Evidence, accuracy, cost, evidence
 from esd.matching.landmarks import FEWEST, contradicted, landmark_candidates
-from esd.matching.registered import REGISTERED, coarse, registered, smoothed, with_embeddings
+from esd.matching.registered import (
+    REGISTERED,
+    Coarse,
+    coarse,
+    registered,
+    smoothed,
+    with_embeddings,
+)
 from esd.nearest import nearest
 from esd.parallel import side_by_side
 
@@ -61,6 +68,8 @@ class Choice:
         The source and the target with their samples.
     descriptors
         The `pair_descriptors` of these.
+    copies
+        Of the shapes, on which candidates were registered; None if none was.
     """
 
     candidate: Candidate
@@ -70,6 +79,11 @@ class Choice:
     computed: tuple[tuple[Candidate, Evidence], ...]
     shapes: tuple[Sampled, Sampled]
     descriptors: PairDescriptors
+    copies: tuple[Coarse, Coarse] | None = None
+
+    def judged(self, candidate: Candidate) -> Evidence:
+        """The evidence for a further candidate for the same shapes."""
+        return evidence(*self.shapes, candidate, self.descriptors)
 
 
 def check_candidates(names: Sequence[str], *, landmarks: bool = False) -> tuple[str, ...]:
@@ -176,7 +190,9 @@ def elastic(choice: Choice) -> Choice:
     found += judged([smoothed(*choice.shapes, with_embeddings(best, embeddings))])
     best, its_evidence = min(found, key=lambda each: cost(each[1]))
     costs = choice.costs | {REGISTERED: cost(its_evidence)}
-    choice = replace(choice, costs=costs, computed=(*choice.computed, *found))
+    choice = replace(
+        choice, costs=costs, computed=(*choice.computed, *found), copies=(source, target)
+    )
     if costs[REGISTERED] > min(costs.values()):
         return choice
     return replace(choice, candidate=with_embeddings(best, embeddings), evidence=its_evidence)

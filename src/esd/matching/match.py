@@ -14,19 +14,19 @@ import numpy as np
 from esd.common import BoolArray, FloatArray, InputError, IntArray
 from esd.learning.model import Model, load_model
 from esd.matching.assignment import one_to_one as assignment
-from esd.matching.candidates import CANDIDATES, Candidate, Rows
+from esd.matching.candidates import CANDIDATES, Candidate, Rows, candidate_of
 from esd.matching.choice import Choice, chained, check_candidates, chosen, elastic
 from esd.matching.confidence import Adaptation, Overlap, confidence, judgement
 from esd.matching.correspondence import Correspondence
 from esd.matching.features import Features, reflected, shape_features
-from esd.matching.judge import accuracy
+from esd.matching.judge import accuracy, cost
 from esd.matching.landmarks import check_landmarks
 from esd.matching.local_refine import Level, levels, local_zoomout
 from esd.matching.partial import PartMap, consistent_share
 from esd.matching.parts import MISFITS, Scale, best_part_map
 from esd.matching.points import accuracy_of_points, evidence_of_points, with_surface
 from esd.matching.refine import SIZES, joint_rows, mean_squared_distance
-from esd.matching.registered import REGISTERED
+from esd.matching.registered import REGISTERED, registered
 from esd.mesh.convert import MeshLike
 from esd.mesh.geometry import is_referenced
 from esd.mesh.mesh import Mesh
@@ -309,6 +309,8 @@ def match_features(
         expected = accuracy(choice.evidence)
         costs, contradicted = choice.costs, tuple(used[choice.contradicted].tolist())
         maps = _full_maps(source, target, choice.candidate, refine=refine, device=model.device)
+        if refine and choice.copies is not None:
+            maps = _tightened(source, target, choice, maps, device=model.device)
     else:
         maps = _nearest_maps(source, target, refine=refine, device=model.device)
     if parts is not None and others != () and not _fits_better(parts, maps, expected or 0.0):
@@ -460,6 +462,28 @@ def _full_maps(
         return _refined_maps(source, target, forward, backward, candidate.embeddings)
     index, _ = nearest(*forward, device=device)
     return _Maps(index, nearest(*backward[::-1], device=device)[0], lambda: forward)
+
+
+def _tightened(
+    source: Features, target: Features, choice: Choice, refined: _Maps, *, device: str
+) -> _Maps:
+    """The best of a candidate, its refined maps, and these registered and refined by positions.
+
+    Between shapes of different build eigenfunctions and embeddings agree only so far: the refined
+    maps of a candidate can be worse than the candidate.
+    """
+    assert choice.copies is not None
+    start = candidate_of(*choice.shapes, refined.index, refined.back)
+    ways = [(cost(choice.judged(start)), refined)]
+    again = registered(*choice.copies, start)
+    if again is not None:
+        found = _refined_maps(source, target, again.forward, again.backward, again.forward)
+        start = candidate_of(*choice.shapes, found.index, found.back)
+        ways.append((cost(choice.judged(start)), found))
+    least, best = min(ways, key=lambda way: way[0])
+    if cost(choice.evidence) < least:
+        return _full_maps(source, target, choice.candidate, refine=False, device=device)
+    return best
 
 
 def _refined_maps(
