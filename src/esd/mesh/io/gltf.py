@@ -18,7 +18,7 @@ from esd.common import FloatArray, InputError, IntArray, is_file
 
 _MOST_VERTICES = 5 * 10**7  # of a scene with all its instances
 _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _KNOWN = ("KHR_mesh_quantization", "KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_")
 _COMPRESSED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression")
@@ -240,7 +240,7 @@ def _mesh_parts(
         count = int(document["accessors"][attributes["POSITION"]]["count"])
         corners = np.arange(count)
         if "indices" in primitive:
-            corners = _accessor(document, buffers, primitive["indices"])[:, 0].astype(np.int64)
+            corners = accessor(document, buffers, primitive["indices"])[:, 0].astype(np.int64)
             if len(corners) and corners.max() >= count:
                 raise InputError(f"a face names vertex {corners.max()}; there are {count}.")
         key = tuple(attributes.get(name) for name in ("POSITION", "TEXCOORD_0", "COLOR_0"))
@@ -248,16 +248,16 @@ def _mesh_parts(
         groups.setdefault(key, []).append(part)
     parts = []
     for (position, texture, colour), faces in groups.items():
-        places = _accessor(document, buffers, position)
+        places = accessor(document, buffers, position)
         if places.shape[1] != 3:
             raise InputError(f"its positions have {places.shape[1]} coordinates; expected 3.")
         places = places @ matrix[:3, :3].T + matrix[:3, 3]
         on_image, shade = np.full((len(places), 2), np.nan), np.full((len(places), 4), np.nan)
         if texture is not None:
-            on_image = _of_length(_accessor(document, buffers, texture)[:, :2], len(places))
+            on_image = _of_length(accessor(document, buffers, texture)[:, :2], len(places))
             on_image = np.stack([on_image[:, 0], 1 - on_image[:, 1]], axis=1)  # counted downwards
         if colour is not None:
-            given = _of_length(_accessor(document, buffers, colour), len(places))
+            given = _of_length(accessor(document, buffers, colour), len(places))
             shade = np.ones((len(places), 4))
             shade[:, : given.shape[1]] = given
         joined = np.concatenate([each for each, _ in faces])
@@ -285,14 +285,14 @@ def _triangles(corners: IntArray, mode: int) -> IntArray:
     return faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
 
 
-def _accessor(document: dict[str, Any], buffers: tuple[bytes, ...], number: int) -> FloatArray:
+def accessor(document: dict[str, Any], buffers: tuple[bytes, ...], number: int) -> FloatArray:
     """Values of an accessor, (count, width), divided where they are normalised."""
-    accessor = document["accessors"][number]
-    kind, width = np.dtype(_COMPONENTS[accessor["componentType"]]), _WIDTHS[accessor["type"]]
-    count, sparse = int(accessor["count"]), accessor.get("sparse")
-    if "bufferView" in accessor:
-        data, stride = _view(document, buffers, accessor["bufferView"])
-        values = _strided(data, int(accessor.get("byteOffset", 0)), stride, kind, (count, width))
+    held = document["accessors"][number]
+    kind, width = np.dtype(_COMPONENTS[held["componentType"]]), _WIDTHS[held["type"]]
+    count, sparse = int(held["count"]), held.get("sparse")
+    if "bufferView" in held:
+        data, stride = _view(document, buffers, held["bufferView"])
+        values = _strided(data, int(held.get("byteOffset", 0)), stride, kind, (count, width))
     elif sparse:
         values = np.zeros((count, width), dtype=kind)
     else:
@@ -307,7 +307,7 @@ def _accessor(document: dict[str, Any], buffers: tuple[bytes, ...], number: int)
         values = values.copy()
         values[index] = _strided(data, int(given.get("byteOffset", 0)), 0, kind, (size, width))
     result = values.astype(float)
-    if accessor.get("normalized") and kind.kind in "iu":
+    if held.get("normalized") and kind.kind in "iu":
         result = np.maximum(result / np.iinfo(kind).max, -1.0)
     return result
 
