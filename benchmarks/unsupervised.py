@@ -28,7 +28,7 @@ from measure import row, table
 from esd.datasets.collection import Collection, Shape
 from esd.datasets.open import open_collection
 from esd.evaluation.protocol import evaluate
-from esd.learning.model import save_model
+from esd.learning.model import load_model, save_model
 from esd.learning.presets import preset
 from esd.learning.unsupervised import Teaching, train_unsupervised
 from esd.matching.first_maps import first_maps
@@ -76,6 +76,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--set", nargs="*", default=[], metavar="FIELD=VALUE")
     parser.add_argument("--no-first-maps", action="store_true")
+    parser.add_argument("--start", metavar="MODEL", help="to start from, instead of first maps")
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--save", type=Path, help="folder for the model")
     options = parser.parse_args()
@@ -99,6 +100,7 @@ def main() -> None:
         training,
         teaching=teaching,
         seed=options.seed,
+        start=None if options.start is None else load_model(options.start),
         first_maps=None if options.no_first_maps else maps,
         workers=workers,
         cache=cache,
@@ -123,7 +125,9 @@ def main() -> None:
         figures += [errors.mean(), float(np.median(errors)), errors.max()]
         accuracy = summary.accuracy_5pct_diameter
     values = [f"{each:.3f}" for each in (*figures, accuracy, minutes)]
-    what = " ".join([*options.set, *(["no first maps"] if options.no_first_maps else [])])
+    ways = ["no first maps"] * options.no_first_maps
+    ways += [] if options.start is None else [f"start {Path(options.start).name}"]
+    what = " ".join([*options.set, *ways])
     held = f"every {options.validate}th" if options.validate else f"last {options.test}"
     head = (Path(options.dataset).name, held, what, options.seed)
     is_new = not options.csv.exists()
