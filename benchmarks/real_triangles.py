@@ -2,9 +2,10 @@
 
     python benchmarks/real_triangles.py MODEL FAUST_R 'tr_reg_0[67]*' --pairs 12
 
-Both shapes of each pair are altered in the same way, see `KINDS`, each with a seed of its own; maps
-are those of `esd match` without options. The error is measured on the target as it was, so that
-welded limbs are no shortcut. Needs fast-simplification, which `pip install '.[dev]'` brings.
+Every shape is rotated at random, and both of a pair are altered in the same way, see `KINDS`, each
+with a seed of its own; maps are those of `esd match` without options. The error is measured on the
+target as it was, so that welded limbs are no shortcut. Needs fast-simplification, which
+`pip install '.[dev]'` brings.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from esd.datasets.collection import Shape
 from esd.datasets.open import open_collection
 from esd.datasets.perturb import short_circuits
 from esd.evaluation.errors import geodesic_errors
+from esd.evaluation.protocol import randomly_rotated
 from esd.learning.model import load_model
 from esd.matching.features import Features
 from esd.matching.match import match_features, prepared, working_features
@@ -166,7 +168,8 @@ def main() -> None:
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=list(KINDS))
     options = parser.parse_args()
     model, cache = load_model(options.model), default_cache()
-    shapes = open_collection(options.dataset).including(options.include).shapes
+    chosen = open_collection(options.dataset).including(options.include).shapes
+    shapes = tuple(randomly_rotated(shape, seed=0) for shape in chosen)
     place = {shape.name: i for i, shape in enumerate(shapes)}
     pairs = drawn_pairs(shapes, options.pairs)
     print("| both shapes | mean | median of the pairs | worst pair | beyond 20 | verdicts |")

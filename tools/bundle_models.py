@@ -1,11 +1,12 @@
 """Train the models that ship with the package and write their figures into their cards.
 
     python tools/make_wide_bodies.py wide
-    python tools/bundle_models.py --wide wide --transfer FAUST_R 'tr_reg_0[67]*'
+    python tools/make_animals.py CHARACTERS animals
+    python tools/bundle_models.py --sets wide bodies animals --transfer FAUST_R 'tr_reg_0[67]*'
 
 A model that is there already is only measured; remove its folder to train it again. `--only`
-restricts it to some. The default model, `oriented`, is trained on the bodies that ship and on those
-of `--wide`, which does not.
+restricts it to some. The default model, `oriented`, is trained on `--sets`, of which only the
+bodies ship.
 """
 
 from __future__ import annotations
@@ -13,10 +14,10 @@ from __future__ import annotations
 import argparse
 import subprocess
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from esd.datasets.bodies import TRAINING_SUBJECTS
 from esd.datasets.collection import Collection
 from esd.datasets.open import open_collection
 from esd.evaluation.protocol import evaluate
@@ -29,18 +30,21 @@ from esd.spectral.cache import default_cache
 MODELS = Path(__file__).parents[1] / "src" / "esd" / "learning" / "models"
 DEFAULT = "oriented"
 BUNDLED = (DEFAULT, "paper-gps", "paper-hks", "paper-wks", "partial")  # presets
-STEPS = 4000  # of the default model
+STEPS = 8000  # of the default model
 HELD_OUT = "s1[0-3]_p0[0369]"  # the subjects held out for testing, in four poses
 
 
-def default_model(folder: Path, wide: Path) -> Model:
+def default_model(folder: Path, sets: Sequence[str]) -> Model:
     """The default model: each of its training shapes has triangles of its own, so no copies."""
-    bodies = open_collection("bodies").of_subjects(TRAINING_SUBJECTS)
-    people = open_collection(wide)
     training = replace(preset(DEFAULT), remeshings=0, steps=STEPS)
-    data = Collection("wide and bundled bodies", (*people.shapes, *bodies.shapes))
+    collections = [open_collection(each) for each in sets]
+    shapes = [
+        shape
+        for each in collections
+        for shape in each.excluding_subjects(each.testing_subjects).shapes
+    ]
     model = train(
-        data,
+        Collection(", ".join(each.name for each in collections), tuple(shapes)),
         training,
         name=DEFAULT,
         checkpoint=folder.with_name(f"{DEFAULT}.checkpoint"),
@@ -48,10 +52,7 @@ def default_model(folder: Path, wide: Path) -> Model:
         cache=default_cache(),
         on_progress=print,
     )
-    command = (
-        "python tools/make_wide_bodies.py wide && "
-        f"python tools/bundle_models.py --wide wide --only {DEFAULT}"
-    )
+    command = f"python tools/bundle_models.py --sets {' '.join(sets)} --only {DEFAULT}"
     return replace(model, card={**model.card, "command": command})
 
 
@@ -79,7 +80,7 @@ def main() -> None:
         "--transfer", nargs=2, metavar=("FOLDER", "GLOB"), action="append", default=[]
     )
     parser.add_argument("--only", nargs="*", choices=BUNDLED, default=BUNDLED)
-    parser.add_argument("--wide", type=Path, help="folder of tools/make_wide_bodies.py")
+    parser.add_argument("--sets", nargs="+", help="what the default model is trained on")
     parser.add_argument("--pairs", type=int, help="measure on so many of each set, spread evenly")
     options = parser.parse_args()
     MODELS.mkdir(exist_ok=True)
@@ -89,9 +90,9 @@ def main() -> None:
         command = f"esd train bodies --preset {name} -o {name} --seed 0"
         made_by = {}  # the card of a model that is there says it, if it was a command
         if name == DEFAULT and not folder.exists():
-            if options.wide is None:
-                parser.error(f"training '{DEFAULT}' takes --wide FOLDER")
-            save_model(default_model(folder, options.wide), folder)
+            if options.sets is None:
+                parser.error(f"training '{DEFAULT}' takes --sets")
+            save_model(default_model(folder, options.sets), folder)
         elif not folder.exists():
             arguments = [*command.split()[1:-3], str(folder), "--seed", "0"]
             subprocess.run([sys.executable, "-m", "esd", *arguments], check=True)
