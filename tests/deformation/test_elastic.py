@@ -4,7 +4,7 @@ from scipy.spatial.transform import Rotation
 
 from esd.deformation.elastic import Pull, elastic, nearest_rotations
 from esd.mesh.mesh import Mesh
-from esd.mesh.shapes import subdivide, torus
+from esd.mesh.shapes import icosphere, subdivide, torus
 
 
 def test_nearest_rotations_are_those_of_stretched_rotations():
@@ -66,3 +66,15 @@ def test_loose_pieces_move_with_the_nearest_piece():
     shifted = both.vertices + np.array([0.0, 3.0, 0.0])
     found = body.deformed(body.interpolated(shifted, weight), Pull(shifted, weight), 0.05)
     assert found == pytest.approx(shifted, abs=0.02 * body.unit)
+
+
+def test_the_energy_of_rigid_motions_is_zero_and_grows_with_stretching():
+    mesh = icosphere(3)
+    body = elastic(mesh)
+    turned = mesh.vertices @ Rotation.random(rng=0).as_matrix().T + [1.0, 2.0, 3.0]
+    assert body.energy(turned) == pytest.approx(0, abs=1e-12)
+    little, much = (body.energy(mesh.vertices * [1, 1, share]) for share in (1.1, 1.3))
+    assert 0 < little < much
+    # the same for shapes of another size
+    larger = elastic(Mesh(5 * mesh.vertices, mesh.faces))
+    assert larger.energy(5 * mesh.vertices * [1, 1, 1.3]) == pytest.approx(much)

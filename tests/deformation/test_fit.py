@@ -173,3 +173,9 @@ def test_a_start_keeps_the_scale_that_it_is_given(template):
     )
     assert found.scale == 2.0
     assert quality(template, doubled, found).stretch == pytest.approx((1, 1, 1), abs=0.03)
+
+
+def test_a_scale_that_is_known_does_not_follow_from_the_map(template):
+    index = np.arange(len(template.vertices))
+    found = fit(template, template, index, np.ones(len(index)), scale=1.1, quick=True)
+    assert found.scale == 1.1

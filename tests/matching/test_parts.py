@@ -64,7 +64,7 @@ def test_a_part_is_matched_to_a_whole_of_another_person():
     shapes = rotated(cut().mesh, 1), rotated(whole, 2)
     found = match(*shapes, candidates=["embedding", "part"], cache=default_cache())
     assert found.judgement.candidate == "part"
-    assert found.judgement.verdict in ("good", "doubtful")  # the meshes are coarse
+    assert found.judgement.verdict in ("good", "doubtful")  # 92 % are right: the meshes are coarse
     assert found.judgement.expected_accuracy > 0.8
     assert found.judgement.overlap.source > 0.95
     assert found.judgement.overlap.scale == pytest.approx(1, abs=0.25)  # people differ
@@ -80,7 +80,7 @@ def test_what_a_part_lacks_has_no_match_and_does_not_count():
     has = there[points >= 0] >= 0
     matched = found.is_matched()[points[points >= 0]]
     assert matched[has].mean() > 0.85
-    assert matched[~has].mean() < 0.35  # the meshes are coarse
+    assert matched[~has].mean() < 0.15
     assert right(found.target_index, points, there, cut().mesh) > 0.85
     assert found.judgement.verdict != "failed"
     assert found.judgement.overlap.source == pytest.approx(has.mean(), abs=0.1)
@@ -94,17 +94,17 @@ def test_another_unit_of_length_is_found_unless_it_is_said_to_be_the_same():
     shapes = features(larger), features(whole)
     model = load_model("partial")
     found = best_part_map(*shapes, model=model, cache=default_cache())
-    assert found.scale == pytest.approx(1000, rel=0.15)
+    persons = np.sqrt(surface_area(body("s10_p01")[0]) / surface_area(whole))
+    assert found.scale == pytest.approx(1000 * persons, rel=0.05)
     assert right(found.forward, points_of_cut(), points, whole) > 0.8
     assert best_part_map(*shapes, model=model, scale="same", cache=default_cache()).consistent < 0.3
 
 
 def test_the_size_of_a_whole_is_found_about():
-    # half way to the second of the sizes that are tried, which are 1 and 1.12
     larger = Mesh(1.055 * cut().mesh.vertices, cut().mesh.faces)
     shapes = features(larger), features(body("s10_p01")[0])
     found = best_part_map(*shapes, model=load_model("partial"), cache=default_cache())
-    assert found.scale == pytest.approx(1.055, rel=0.065)  # no farther than the two next to it
+    assert found.scale == pytest.approx(1.055, rel=0.03)
 
 
 def test_landmarks_help_a_map_between_parts():

@@ -137,6 +137,19 @@ class Elastic:
         right = _SMOOTH**2 * self._divergence(self._spread(moments)) + weight[:, None] * image
         return np.asarray(solve(right))
 
+    def energy(self, vertices: npt.NDArray[np.float64]) -> float:
+        """Of a deformation, (n, 3), over the area at rest: zero for rigid motions.
+
+        Squared deviations of edges from those at rest, rotated as around their ends, weighted by
+        stiffness; see Sorkine and Alexa 2007, equation 3.
+        """
+        rotations = nearest_rotations(self._moments(vertices))
+        i, j = self.edge.T
+        mean = (rotations[i] + rotations[j]) / 2
+        turned = np.einsum("eij,ej->ei", mean, self.rest[i] - self.rest[j])
+        deviation = turned - (vertices[i] - vertices[j])
+        return float(self.stiffness @ (deviation**2).sum(axis=1)) / self.unit**2
+
     def filled(
         self, vertices: npt.NDArray[np.float64], is_free: BoolArray
     ) -> npt.NDArray[np.float64]:

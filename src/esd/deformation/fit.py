@@ -68,7 +68,7 @@ def fit(
     confidence: FloatArray,
     *,
     start: npt.NDArray[np.float64] | None = None,
-    scale: float = 1.0,
+    scale: float | None = None,
     quick: bool = False,
 ) -> Fit:
     """The template's vertices on a scan.
@@ -91,8 +91,8 @@ def fit(
     start : (n, 3), optional
         Positions to start from, such as those of the frame before. The map may then be empty.
     scale
-        Lengths of the scan over those of the template, where there is a start; otherwise it follows
-        from the map.
+        Lengths of the scan over those of the template. By default it is 1 where there is a start;
+        otherwise it follows from the map.
     quick
         Whether half of the rounds are left out, and inverted faces are left as they are.
 
@@ -122,10 +122,11 @@ def fit(
     body = elastic(template)
     parts = claims(body)
     if start is None:
-        unit = _scale(template, scan, target_index, weight) * body.unit
+        unit = (scale or _scale(template, scan, target_index, weight)) * body.unit
         there = _normals(scan)[target_index]
         weight = np.where(parts.contested(image, there, weight, unit=unit), 0.0, weight)
-        scale = _scale(template, scan, target_index, weight)
+        scale = scale or _scale(template, scan, target_index, weight)
+    scale = scale or 1.0
     # stiffness is independent of the scale
     body = replace(body, rest=scale * body.rest, unit=scale * body.unit)
     unit = body.unit

@@ -27,7 +27,7 @@ _LOGISTIC = (-5.33, -1.47, -0.82)  # constant, and factors of the two logarithms
 _JUDGED = (-1.648, -0.336, -0.241, 1.028)  # the same, and the factor of the logit of the accuracy
 _ORIENTED = 0.3  # orientation that a map needs to be good; of mirrored ones below the negative
 _WORTH_SAYING = 0.01  # share of a shape that is unmatched
-_SAME_UNIT = 0.15  # logarithm of a ratio of lengths within which one unit is taken: people differ
+_SAME_UNIT = 0.25  # logarithm of a ratio of lengths within which one unit is taken: people differ
 _GOOD, _FAILED = 0.94, 0.5  # expected shares of vertices within 5 % of the diameter
 
 ADVICE = {

@@ -540,13 +540,13 @@ def _judged_parts(
     Those that have a counterpart, and are not matched, count as wrong.
     """
     kept = (has_counterpart > _COUNTERPART) & (match.target_index >= 0)
-    values = np.where(kept, right, 0.0)
+    values = np.where(kept, has_counterpart * right, 0.0)
     found = has_counterpart[kept].sum() / max(has_counterpart.sum(), np.finfo(float).tiny)
     verdict = judgement(
         parts.source.mesh,
         parts.target.mesh,
         np.where(kept, match.target_index, -1),
-        found * values,
+        found * np.where(kept, right, 0.0),
         counted=kept,
         turned_over=source.is_turned != target.is_turned,
         unmatched=source.lost,

@@ -43,9 +43,19 @@ _SIZES = (6, 6, 6, 10, 10, 10, 16, 24, 36, 54, 80, 110)  # target's functions, s
 _MORE = 2  # source's functions beyond its share of the target's area
 _WEIGHT = 2.5  # of embeddings beside functions: matched rows are as far apart in both, times this
 _ANCHOR_WEIGHT = 2.0  # of rows of anchors beside embeddings, which have unit length
+_AWAY = 0.15  # in √area of the larger shape: how far other anchors lead away
+_AWAY_WEIGHT = 6.0  # of rows of these, which embeddings contradict
+_FORBIDDEN = -10.0  # product of rows of unit length where an anchor must not lead
+_HALVES = 6  # of the target's samples, drawn at random, among which anchors are sought
 _LANDMARK_WEIGHT = 1.5  # of rows of landmarks beside embeddings, which have unit length
 _RIDGE = 1e-3
 _REWEIGHTINGS = 6
+
+_ENERGY, _APART, _BARE = (
+    10.0,
+    0.5,
+    0.3,
+)  # weights of the cost of a map along which a shape is deformed
 
 _REFINED = 0.2  # consistent share that a refined map may lose
 
@@ -61,6 +71,14 @@ _COUNTERPART = (-2.59, -0.24, -1.35, 0.0, 0.19, -0.5, 4.07)
 _RIGHT = (0.11, 0.0, -1.15, 0.0, 0.0, -0.26, 1.86)
 _OF_CLOSED = 2.84  # for having a counterpart, where the target is closed
 _OF_SHARE = 2.91  # weight of the logarithm of the consistent share, for being matched rightly
+# the same where one shape was deformed: of the gap, and of some of `_evidence`
+_GAP = 0.3  # in √area of the whole, at which gaps are cut off
+_OF_COUNTERPART, _OF_RIGHT = [0, 1, 3, 5], [5]
+_COUNTERPART_LYING = (-3.71, -0.47, -0.54, -0.88, 0.58, 3.26)
+_RIGHT_LYING = (-9.6, -0.83, 3.25)
+_OF_CLOSED_LYING = 1.61
+_OF_MARGIN, _OF_ENERGY = 4.05, -1.87  # the second of the logarithm
+_CLEAR, _ALONE = 0.4, 0.2  # margin beyond which it says no more, and that where there is no other
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,6 +147,43 @@ def part(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class PartFit:
+    """How one shape lies on another when it is deformed, see `esd.matching.part_registration`.
+
+    Parameters
+    ----------
+    gap : (n,) and (m,)
+        From each vertex of the source and of the target to the other shape, in √area of the whole.
+    of_source
+        Whether the source was deformed, not the target.
+    enlargement
+        How much longer lengths became on what was deformed.
+    energy
+        Of the deformation, over the area of what is deformed.
+    apart
+        Mean distance of the embeddings of what lies on each other.
+    covered
+        Share of the smaller shape that lies on the other.
+    margin
+        By how much other maps, which lead elsewhere, cost more; None where no other was found.
+    """
+
+    gap: tuple[FloatArray, FloatArray]
+    of_source: bool
+    enlargement: float
+    energy: float
+    apart: float
+    covered: float
+    margin: float | None = None
+
+    @property
+    def cost(self) -> float:
+        """The less, the better."""
+        bare = _BARE * (1 - self.covered)
+        return _ENERGY * self.energy + _APART * self.apart + bare
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class PartMap:
     """A map between parts, and one back.
 
@@ -140,10 +195,14 @@ class PartMap:
         The nearest vertex of the other; -1 at vertices without a face.
     rows
         Whose nearest `forward` is.
+    alike
+        Embeddings, with rows of landmarks if there are any.
     anchors
         Samples that correspond, whose distances the rows have.
     consistent
         See `consistent_share`.
+    fit
+        How one shape lies on the other when it is deformed along the map; None where it was not.
     """
 
     source: Part
@@ -151,30 +210,49 @@ class PartMap:
     forward: IntArray
     backward: IntArray
     rows: Rows
+    alike: Rows
     anchors: Anchors
     consistent: float
+    fit: PartFit | None = None
 
     @property
     def scale(self) -> float:
-        """Length in the source that is 1 in the target, as it was taken to be."""
+        """Length in the source that is 1 in the target, as taken to be or as measured."""
         here, there = (
             float(np.sqrt(surface_area(each.mesh) / each.spectrum.area))
             for each in (self.source, self.target)
         )
-        return here / there
+        if self.fit is None:
+            return here / there
+        return here / there * self.fit.enlargement ** (-1 if self.fit.of_source else 1)
 
     def probabilities(self) -> tuple[FloatArray, FloatArray]:
         """That each source vertex has a counterpart, and that it is matched rightly, (n,) each.
 
         Rightly: within 5 % of the whole's diameter of the truth. By logistic regressions, fitted
-        to parts of people that the model was not trained on.
+        to parts of people that the model was not trained on; those of a map along which a shape was
+        deformed, to 19 pairs.
         """
         evidence = _evidence(self)
         is_closed = len(boundary_edges(self.target.mesh)) == 0
-        offsets = _OF_CLOSED * is_closed, _OF_SHARE * np.log(self.consistent + 0.1)
+        columns: tuple[FloatArray, FloatArray] = evidence, evidence
+        weights: tuple[tuple[float, ...], tuple[float, ...]] = _COUNTERPART, _RIGHT
+        if self.fit is None:
+            offsets = _OF_CLOSED * is_closed, _OF_SHARE * np.log(self.consistent + 0.1)
+        else:
+            gap = np.log(np.minimum(self.fit.gap[0], _GAP) + _OFFSETS[0])
+            gap = np.nan_to_num(_averaged(self.source.mesh, gap[:, None]))
+            columns = (
+                np.hstack([gap, evidence[:, _OF_COUNTERPART]]),
+                np.hstack([gap, evidence[:, _OF_RIGHT]]),
+            )
+            margin = _ALONE if self.fit.margin is None else np.clip(self.fit.margin, 0, _CLEAR)
+            of_map = _OF_MARGIN * margin + _OF_ENERGY * np.log(self.fit.energy + 0.01)
+            offsets = _OF_CLOSED_LYING * is_closed, of_map
+            weights = _COUNTERPART_LYING, _RIGHT_LYING
         logits = [
-            constant + offset + evidence @ np.array(weights)
-            for offset, (constant, *weights) in zip(offsets, (_COUNTERPART, _RIGHT), strict=True)
+            constant + offset + values @ np.array(factors)
+            for values, offset, (constant, *factors) in zip(columns, offsets, weights, strict=True)
         ]
         has, right = (
             np.where(self.forward >= 0, 1 / (1 + np.exp(-logit)), 0.0) for logit in logits
@@ -197,20 +275,54 @@ def part_map(source: Part, target: Part, *, landmarks: IntArray | None = None) -
             for each, ends in zip((source, target), landmarks.T, strict=True)
         )
         rows = _beside(rows, given, _LANDMARK_WEIGHT)
+    found = _anchors(source, target, rows, np.arange(len(target.ways)))
+    return _anchored(source, target, rows, found, _ANCHOR_WEIGHT)
+
+
+def other_part_maps(found: PartMap, *, count: int, seed: int = 0) -> list[PartMap]:
+    """Maps by other anchors than those of a map.
+
+    First those that lead nowhere near: what is right may be the second best, such as the other
+    side of a symmetric shape. Then the best of some among halves of the target's samples.
+    """
+    source, target, rows = found.source, found.target, found.alike
+    samples = np.arange(len(target.ways))
+    away = _anchors(source, target, rows, samples, away_from=found.anchors)
+    generator = np.random.default_rng(seed)
+    halves = [np.flatnonzero(generator.random(len(samples)) < 0.5) for _ in range(_HALVES)]
+    tried = [_anchors(source, target, rows, half) for half in halves if len(half)]
+    tried = sorted(tried, key=lambda each: -each.agreement)[: count - 1]
+    return [
+        _anchored(source, target, rows, away, _AWAY_WEIGHT),
+        *(_anchored(source, target, rows, each, _ANCHOR_WEIGHT) for each in tried),
+    ]
+
+
+def _anchors(
+    source: Part, target: Part, rows: Rows, among: IntArray, away_from: Anchors | None = None
+) -> Anchors:
+    """Anchors that lead to some of the target's samples, or away from where others lead."""
     here, there = source.sample[:_ANCHORS], target.sample[: len(target.ways)]
+    similarity = rows[0][here] @ rows[1][there].T
     # in a unit that does not depend on the size of the whole, so that sizes can be compared
     unit = np.float32(1 / np.sqrt(max(source.spectrum.area, target.spectrum.area)))
+    ways = unit * target.ways[:, there]
+    if away_from is not None:
+        similarity[ways[away_from.target] < _AWAY] = _FORBIDDEN
     found = anchors(
-        rows[0][here] @ rows[1][there].T,
-        unit * source.ways[: len(here)][:, here],
-        unit * target.ways[:, there],
+        similarity[:, among], unit * source.ways[: len(here)][:, here], ways[np.ix_(among, among)]
     )
+    return replace(found, target=among[found.target])
+
+
+def _anchored(source: Part, target: Part, alike: Rows, found: Anchors, weight: float) -> PartMap:
+    """The map by distances from anchors beside embeddings."""
     used = found.support > _SUPPORTED
     ways = source.ways[found.source[used]], target.ways[found.target[used]]
-    rows = _beside(rows, map(nearness, ways), _ANCHOR_WEIGHT)
+    rows = _beside(alike, map(nearness, ways), weight)
     forward, backward = nearest(*rows)[0], nearest(*rows[::-1])[0]
     share = consistent_share(source, target, forward, backward)
-    return PartMap(source, target, forward, backward, rows, found, share)
+    return PartMap(source, target, forward, backward, rows, alike, found, share)
 
 
 def refined_part_map(found: PartMap) -> PartMap:

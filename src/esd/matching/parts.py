@@ -12,6 +12,7 @@ import numpy as np
 from esd.common import IntArray
 from esd.learning.model import Model, load_model
 from esd.matching.features import Features
+from esd.matching.part_registration import best_registered
 from esd.matching.partial import Part, PartMap, part, part_map, refined_part_map
 from esd.mesh.geometry import components, surface_area
 from esd.mesh.mesh import Mesh
@@ -93,6 +94,7 @@ def best_part_map(
     model = model if model.diffusion is not None else _bundled()
     areas = [surface_area(mesh) for mesh in meshes]
     known: tuple[dict[float, Part], ...] = ({}, {})  # by the area of its whole
+    seen: list[PartMap] = []
 
     def tried(wholes: _Wholes) -> _Sized:
         for mesh, whole, parts in zip(meshes, wholes, known, strict=True):
@@ -100,7 +102,8 @@ def best_part_map(
                 first = next(iter(parts.values()), None)
                 parts[whole] = part(mesh, whole, model=model, known=first, cache=cache)
         source, target = (parts[whole] for whole, parts in zip(wholes, known, strict=True))
-        return _Sized(wholes, part_map(source, target, landmarks=landmarks))
+        seen.append(part_map(source, target, landmarks=landmarks))
+        return _Sized(wholes, seen[-1])
 
     def corrected(sized: _Sized) -> _Sized:
         for _ in range(_MEASURED):
@@ -118,14 +121,17 @@ def best_part_map(
 
     alike, others = _wholes(areas, [mesh is not None for mesh in opened], scale)
     best: PartMap | None = None
+    maps: list[PartMap] = []
     if alike:
         sized = _climbed(alike, tried) if None in opened else _fitting(map(tried, alike.values()))
-        best = refined_part_map(corrected(sized).found)
+        best, maps = corrected(sized).found, list(seen)
     if others and (best is None or best.consistent < _OTHER_UNITS):
-        found = refined_part_map(corrected(_fitting(map(tried, others))).found)
+        seen.clear()
+        found = corrected(_fitting(map(tried, others))).found
         if best is None or found.consistent > best.consistent:
-            best = found
-    return best
+            best, maps = found, list(seen)
+    assert best is not None
+    return best_registered(maps) or refined_part_map(best)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
