@@ -10,8 +10,9 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController, threadpool_limits
 
+from esd import parallel
 from esd.common import InputError
 from esd.parallel import (
     Workers,
@@ -226,3 +227,21 @@ def test_side_by_side_no_job_takes_more_than_one_thread():
 def test_where_one_thread_is_allowed_jobs_stay_in_it():
     with threadpool_limits(1):
         assert set(side_by_side(lambda _: threading.get_ident(), "ab")) == {threading.get_ident()}
+
+
+def test_libraries_are_looked_for_again_only_after_imports(monkeypatch):
+    looked = []
+
+    def controller():
+        looked.append(True)
+        return ThreadpoolController()
+
+    parallel._libraries.cache_clear()
+    monkeypatch.setattr(parallel, "ThreadpoolController", controller)
+    for _ in range(3):
+        assert thread_count(blas_libraries()) >= 1
+    assert len(looked) == 1
+    monkeypatch.setitem(sys.modules, "a_module_with_threads", sys)
+    blas_libraries()
+    assert len(looked) == 2
+    parallel._libraries.cache_clear()

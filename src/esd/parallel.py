@@ -24,7 +24,7 @@ from concurrent.futures import (
 )
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 from itertools import islice
 from multiprocessing import connection, get_context, parent_process
 from multiprocessing.connection import Connection
@@ -33,7 +33,7 @@ from socket import gethostname
 from tempfile import TemporaryDirectory, gettempdir
 from typing import Any, Generic, TypeVar
 
-from threadpoolctl import ThreadpoolController, threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 from esd.common import InputError
 
@@ -188,8 +188,17 @@ def core_count() -> int:
 
 
 def blas_libraries() -> ThreadpoolController:
-    """The BLAS libraries of this process; to look for them takes a millisecond."""
-    return ThreadpoolController().select(user_api="blas")
+    """The BLAS libraries of this process."""
+    return _libraries(len(sys.modules)).select(user_api="blas")
+
+
+@lru_cache(maxsize=1)
+def _libraries(modules: int) -> ThreadpoolController:
+    """All libraries with threads of their own; others come with other modules only.
+
+    To look for them takes two milliseconds, as long as matching two small shapes.
+    """
+    return ThreadpoolController()
 
 
 def thread_count(blas: ThreadpoolController) -> int:
@@ -368,7 +377,7 @@ def _no_interrupt() -> Iterator[None]:
 
 def _tried(function: Callable[[Job], Result], job: Job) -> Outcome[Job, Result]:
     try:
-        with threadpool_limits(1):
+        with _libraries(len(sys.modules)).limit(limits=1):
             return Outcome(job, function(job))
     except Exception as error:
         return Outcome(job, failure=_in_words(error))
