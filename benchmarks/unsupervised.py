@@ -32,6 +32,7 @@ from esd.learning.model import load_model, save_model
 from esd.learning.presets import preset
 from esd.learning.unsupervised import Teaching, train_unsupervised
 from esd.matching.first_maps import first_maps
+from esd.matching.match import DEFAULT_MODEL
 from esd.parallel import Workers
 from esd.spectral.cache import default_cache
 
@@ -76,7 +77,12 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--set", nargs="*", default=[], metavar="FIELD=VALUE")
     parser.add_argument("--no-first-maps", action="store_true")
-    parser.add_argument("--start", metavar="MODEL", help="to start from, instead of first maps")
+    parser.add_argument(
+        "--start",
+        metavar="MODEL",
+        help="to start from, instead of first maps; by default the default model is tried in these",
+    )
+    parser.add_argument("--no-start", action="store_true", help="try no model")
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--save", type=Path, help="folder for the model")
     options = parser.parse_args()
@@ -91,6 +97,7 @@ def main() -> None:
         first_maps,
         collection=shapes,
         recipe=training.recipe,
+        start=None if options.no_start else load_model(DEFAULT_MODEL),
         seed=options.seed,
         workers=workers,
         cache=cache,
@@ -125,8 +132,8 @@ def main() -> None:
         figures += [errors.mean(), float(np.median(errors)), errors.max()]
         accuracy = summary.accuracy_5pct_diameter
     values = [f"{each:.3f}" for each in (*figures, accuracy, minutes)]
-    ways = ["no first maps"] * options.no_first_maps
-    ways += [] if options.start is None else [f"start {Path(options.start).name}"]
+    ways = ["no first maps"] * options.no_first_maps + ["no start"] * options.no_start
+    ways += [] if model.card["start"] is None else [f"from {model.card['start']}"]
     what = " ".join([*options.set, *ways])
     held = f"every {options.validate}th" if options.validate else f"last {options.test}"
     head = (Path(options.dataset).name, held, what, options.seed)

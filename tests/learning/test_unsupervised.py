@@ -174,6 +174,9 @@ def test_first_maps_are_learned_during_the_warm_up_and_say_what_belongs_together
     # a training that is started from a model has better maps than the first
     other = run(start=plain, first_maps=lambda _: pytest.fail("not needed"))
     assert other.card["start"] == "model"
+    other = run(first_maps=lambda samples: replace(exact(samples), start=plain))
+    assert other.card["start"] == "model"
+    assert taught.card["start"] is None
 
 
 def test_doubles_are_left_out(unregistered):

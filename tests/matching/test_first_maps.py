@@ -5,7 +5,8 @@ import pytest
 from scipy.sparse import csgraph
 
 from esd.datasets.collection import Collection, Shape
-from esd.learning.samples import collection_samples
+from esd.learning.model import Layer, Model
+from esd.learning.samples import collection_samples, moments
 from esd.learning.teacher import FirstMaps
 from esd.matching.first_maps import _pairs, first_maps, step_count
 from esd.mesh.mesh import Mesh
@@ -44,6 +45,22 @@ def test_chains_connect_shapes_of_one_class_and_their_maps_are_right(collection)
     exact = truth(0, 1)[samples[0].vertices[taught.source]]
     away = knobbed(1).vertices[image] - knobbed(1).vertices[exact]
     assert np.linalg.norm(away, axis=1).mean() < 0.6  # the shapes are about six wide
+
+
+@pytest.mark.parametrize("is_good", [True, False])
+def test_the_training_starts_from_a_model_that_maps_the_shapes_better(collection, is_good):
+    knobs = collection.including("s*")
+    samples = collection_samples(
+        knobs, recipe=RECIPE, points=500, eigenfunctions=40, copies=0
+    ).samples
+    width = RECIPE.width
+    mean, deviation = moments(samples)
+    # of all descriptors, or of one alone, which says little
+    weight = np.eye(width) if is_good else np.eye(1, width) * 1e-3
+    layers = (Layer(weight.astype(np.float32), np.zeros(len(weight), np.float32)),)
+    start = Model("start", RECIPE, mean, deviation, layers, unit_length=True)
+    found = first_maps(samples, knobs, RECIPE, start=start)
+    assert found.start is (start if is_good else None)
 
 
 def test_maps_along_a_chain_are_composed(collection):

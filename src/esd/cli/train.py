@@ -58,8 +58,9 @@ def train(
         str | None,
         typer.Option(
             metavar="MODEL",
-            help="Model to start from, such as 'default'; without correspondences, or of the "
-            "preset 'partial'.",
+            help="Model to start from; without correspondences, or of the preset 'partial'. "
+            "Without correspondences, by default, the default model where it maps the shapes "
+            "better than descriptors do; 'none' for none.",
         ),
     ] = None,
     force: ForceOption = False,
@@ -116,6 +117,9 @@ def train(
     tell(f"trained {model.card['steps_done']} steps on {len(chosen.shapes)} shapes: {output}")
     if "verdicts" in model.card:
         tell(_trust(model))
+
+
+_NO_START = "none"
 
 
 def _checkpoint(output: Path) -> Path:
@@ -178,13 +182,16 @@ def _unsupervised(
     from esd.cli.progress import progress
     from esd.evaluation.trust import verdicts
     from esd.learning.model import load_model
-    from esd.learning.unsupervised import Teaching, train_unsupervised
+    from esd.learning.unsupervised import Teaching, can_start, train_unsupervised
     from esd.matching.first_maps import first_maps, step_count
+    from esd.matching.match import DEFAULT_MODEL
     from esd.parallel import EVERY_CORE
     from esd.spectral.cache import default_cache
 
     teaching = Teaching() if steps is None else replace(Teaching(), steps=steps)
-    first = None if start is None else load_model(start)
+    first = None if start in (None, _NO_START) else load_model(start)
+    perhaps = load_model(DEFAULT_MODEL)
+    tried = perhaps if start is None and can_start(perhaps, training) else None
     cache = default_cache()
     shapes = len(chosen.shapes) + (len(held.shapes) if held else 0)
     with (
@@ -204,6 +211,7 @@ def _unsupervised(
                 first_maps,
                 collection=chosen,
                 recipe=training.recipe,
+                start=tried,
                 seed=seed,
                 workers=EVERY_CORE,
                 cache=cache,

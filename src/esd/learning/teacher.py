@@ -16,6 +16,7 @@ import numpy.typing as npt
 from scipy.spatial import KDTree
 
 from esd.common import FloatArray, IntArray
+from esd.learning.model import Model
 from esd.learning.samples import MARKS, Samples
 
 Rows = npt.NDArray[np.float32]
@@ -72,11 +73,14 @@ class FirstMaps:
     near
         Numbers of two shapes, the lesser first, whose direct maps are expected to be good: so
         alike that a refinement, which takes them for isometric, does no harm.
+    start
+        The model that most of the maps are by, to start from; None if they are by descriptors.
     """
 
     maps: Mapping[tuple[int, int], IntArray]
     chains: Mapping[tuple[int, int], tuple[int, ...]]
     near: Sequence[tuple[int, int]] = ()
+    start: Model | None = None
 
     def pairs(self) -> list[tuple[int, int]]:
         """Numbers of the shapes that chains connect there and back, the lesser first."""

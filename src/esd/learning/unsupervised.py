@@ -232,6 +232,8 @@ def train_unsupervised(
             len(samples),
         )
     first = None if first_maps is None or start is not None else first_maps(samples)
+    if first is not None and first.start is not None:
+        start = first.start
     if first is None and not teaching.copies:
         teaching = replace(teaching, warm_up=0)  # there is nothing to learn from meanwhile
     mean, deviation = moments(samples) if start is None else (start.mean, start.deviation)
@@ -311,11 +313,18 @@ def _settings(training: Training) -> dict[str, Any]:
     return settings
 
 
-def _check_start(start: Model, training: Training) -> None:
-    """Raise an `InputError` unless a training can start from a model."""
+def can_start(start: Model, training: Training) -> bool:
+    """Whether a training can start from a model: descriptors and layers are the same."""
     widths = [layer.weight.shape[0] for layer in start.layers]
     wanted = [*training.hidden, training.outputs]
-    if start.recipe.to_json() != training.recipe.to_json() or widths != wanted:
+    return start.recipe.to_json() == training.recipe.to_json() and widths == wanted
+
+
+def _check_start(start: Model, training: Training) -> None:
+    """Raise an `InputError` unless a training can start from a model."""
+    if not can_start(start, training):
+        widths = [layer.weight.shape[0] for layer in start.layers]
+        wanted = [*training.hidden, training.outputs]
         raise InputError(
             f"The training cannot start from '{start.name}': its descriptors or its layers "
             f"({widths}) are not those of the preset ({wanted}). Start from a model of the same "

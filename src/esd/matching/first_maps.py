@@ -1,7 +1,8 @@
-"""Maps between the shapes of a collection by their descriptors alone, from which learning begins.
+"""Maps between the shapes of a collection before anything is learned of it.
 
-A map by descriptors is right for some pairs and wrong for most. The judge says which: chains of
-those maps that it trusts connect nearly all shapes of a class.
+They are by the descriptors alone, or by a model of other classes. Such a map is right for some
+pairs and wrong for others. The judge says which: chains of those maps that it trusts connect nearly
+all shapes of a class.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from esd.matching.candidates import (
 )
 from esd.matching.collection import Pair, trusted_chains
 from esd.matching.features import shape_features
-from esd.matching.judge import accuracy, evidence
+from esd.matching.judge import accuracy, cost, evidence
 from esd.nearest import nearest
 from esd.parallel import THIS_PROCESS, Workers, outcomes, shared_folder
 from esd.spectral.cache import Cache
@@ -38,15 +39,17 @@ _NEAR_SHARE = 0.7  # of the pairs that are of shapes with similar spectra
 _EIGENVALUES = 30  # by which spectra are compared
 _TRUSTED = 0.5  # least expected accuracy of a map that is part of a chain
 _GOOD = 0.75  # the same of maps between shapes that are near each other
+_MOSTLY = 0.5  # share of the trusted maps beyond which the training starts from the model
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _MappedPair:
-    """Rows of either sample for those of the other, and the expected accuracy both ways."""
+    """Rows of either sample for those of the other, the expected accuracy both ways, by what."""
 
     forth: IntArray
     back: IntArray
     accuracy: tuple[float, float]
+    by_model: bool
 
 
 def first_maps(
@@ -54,12 +57,13 @@ def first_maps(
     collection: Collection,
     recipe: Recipe,
     *,
+    start: Model | None = None,
     seed: int = 0,
     workers: Workers = THIS_PROCESS,
     cache: Cache | None = None,
     on_step: Callable[[], None] = lambda: None,
 ) -> FirstMaps:
-    """Maps between samples by descriptors, and the chains of those that can be trusted.
+    """Maps between samples, and the chains of those that can be trusted.
 
     Parameters
     ----------
@@ -67,6 +71,9 @@ def first_maps(
         Of shapes of the collection.
     recipe
         Of the descriptors.
+    start
+        A model of that recipe, whose embeddings are tried beside the descriptors; the training
+        starts from it if most of the trusted maps are by it.
     seed
         Of the pairs that are mapped, where these are not all.
     workers
@@ -78,8 +85,10 @@ def first_maps(
     """
     maps: dict[Pair, IntArray] = {}
     trusted: dict[Pair, float] = {}
+    by_model: list[bool] = []
+    raw = Model("descriptors", recipe, np.zeros(recipe.width), np.ones(recipe.width))
     with shared_folder(workers) as folder:
-        save = partial(_save, folder=folder, recipe=recipe, cache=cache)
+        save = partial(_save, folder=folder, model=start or raw, cache=cache)
         jobs = [(i, collection[each.name], each.vertices) for i, each in enumerate(samples)]
         eigenvalues = np.ones((len(jobs), _EIGENVALUES))
         for saved in outcomes(save, jobs, workers=workers):
@@ -87,7 +96,9 @@ def first_maps(
             if saved.result is not None:
                 eigenvalues[saved.job[0]] = saved.result
         pairs = _pairs(eigenvalues, seed)
-        for outcome in outcomes(partial(_mapped, folder=folder), pairs, workers=workers):
+        names = ("descriptors",) if start is None else ("embedding", "descriptors")
+        mapped = partial(_mapped, folder=folder, names=names)
+        for outcome in outcomes(mapped, pairs, workers=workers):
             on_step()
             found, (i, j) = outcome.result, outcome.job
             if found is None:  # a shape that cannot be mapped has no chains
@@ -97,10 +108,12 @@ def first_maps(
             ):
                 if value >= _TRUSTED:
                     maps[pair], trusted[pair] = rows, value
+                    by_model.append(found.by_model)
     near = [
         (i, j) for i, j in pairs if min(trusted.get((i, j), 0.0), trusted.get((j, i), 0.0)) >= _GOOD
     ]
-    return FirstMaps(maps, trusted_chains(trusted, len(samples)), near)
+    starts = start if np.mean(by_model or [False]) > _MOSTLY else None
+    return FirstMaps(maps, trusted_chains(trusted, len(samples)), near, starts)
 
 
 def step_count(shapes: int) -> int:
@@ -142,30 +155,33 @@ def _pairs(eigenvalues: FloatArray, seed: int) -> list[Pair]:
 
 
 def _save(
-    job: tuple[int, Shape, IntArray], *, folder: Path, recipe: Recipe, cache: Cache | None
+    job: tuple[int, Shape, IntArray], *, folder: Path, model: Model, cache: Cache | None
 ) -> FloatArray:
     """The eigenvalues of a shape; its features and sampled vertices are written."""
     number, shape, vertices = job
-    raw = Model("descriptors", recipe, np.zeros(recipe.width), np.ones(recipe.width))
-    features = shape_features(repaired_shape(shape)[0], model=raw, cache=cache)
+    features = shape_features(repaired_shape(shape)[0], model=model, cache=cache)
     save_features(features, folder / str(number))
     np.save(folder / f"{number}-vertices.npy", vertices)
     spectrum = features.spectrum.with_area(1.0)
     return spectrum.eigenvalues[spectrum.zero_modes :][:_EIGENVALUES]
 
 
-def _mapped(pair: Pair, *, folder: Path) -> _MappedPair:
-    """The map between two shapes by their descriptors, at their samples, and what it is worth."""
+def _mapped(pair: Pair, *, folder: Path, names: Sequence[str]) -> _MappedPair:
+    """The best map between two shapes at their samples, of those named, and what it is worth."""
     source, target = (sampled(load_features(folder / str(number))) for number in pair)
     descriptors = pair_descriptors(source, target)
-    found = spectral_candidate("descriptors", source, target, descriptors.rows())
-    forward, backward = found.forward, found.backward
-    turned = Candidate("descriptors", backward[::-1], forward[::-1], None)
+    embeddings = source.features.embedded, target.features.embedded
+    rows = {"embedding": embeddings, "descriptors": descriptors.rows()}
+    tried = [spectral_candidate(name, source, target, rows[name]) for name in names]
+    judged = [(each, evidence(source, target, each, descriptors)) for each in tried]
+    best, its_evidence = min(judged, key=lambda each: cost(each[1]))
+    forward, backward = best.forward, best.backward
+    turned = Candidate(best.name, backward[::-1], forward[::-1], None)
     accuracies = (
-        accuracy(evidence(source, target, found, descriptors)),
+        accuracy(its_evidence),
         accuracy(evidence(target, source, turned, descriptors.reversed())),
     )
     here, there = (np.load(folder / f"{number}-vertices.npy") for number in pair)
     forth, _ = nearest(forward[0][here], forward[1][there])
     back, _ = nearest(backward[1][there], backward[0][here])
-    return _MappedPair(forth, back, accuracies)
+    return _MappedPair(forth, back, accuracies, best.name == "embedding")
