@@ -73,10 +73,10 @@ _OF_CLOSED = 2.84  # for having a counterpart, where the target is closed
 _OF_SHARE = 2.91  # weight of the logarithm of the consistent share, for being matched rightly
 # the same where one shape was deformed: of the gap, and of some of `_evidence`
 _GAP = 0.3  # in √area of the whole, at which gaps are cut off
-_OF_COUNTERPART, _OF_RIGHT = [0, 1, 3, 5], [5]
-_COUNTERPART_LYING = (-3.71, -0.47, -0.54, -0.88, 0.58, 3.26)
+_OF_COUNTERPART, _OF_RIGHT = [0, 1, 3], [5]
+_COUNTERPART_LYING = (-3.72, -0.67, -0.79, -1.17, 0.55)
 _RIGHT_LYING = (-9.6, -0.83, 3.25)
-_OF_CLOSED_LYING = 1.61
+_OF_CLOSED_LYING = 1.6
 _OF_MARGIN, _OF_ENERGY = 4.05, -1.87  # the second of the logarithm
 _CLEAR, _ALONE = 0.4, 0.2  # margin beyond which it says no more, and that where there is no other
 
