@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from esd.common import InputError
-from esd.learning.model import Model, save_model
+from esd.learning.model import Model, load_model, save_model
 from esd.matching import batch
-from esd.matching.batch import PairOfFiles, match_files
+from esd.matching.batch import PairOfFiles, match_files, read_pairs_of_files
 from esd.matching.choice import chained
 from esd.matching.collection import composed, cycle_miss, trusted_chains
 from esd.matching.match import match_features, prepared, working_features
@@ -153,3 +153,18 @@ def test_the_command_reports_on_the_collection(run, files, model, tmp_path):
     assert found["collection"]["tried"] >= found["collection"]["improved"] >= 0
     assert found["collection"]["miss_after"] <= found["collection"]["miss_before"] + 0.01
     assert all(each["cost"] is not None for each in found["maps"])
+
+
+def test_maps_of_points_are_counted_as_well(tmp_path, blob):
+    for i, name in enumerate("abc"):
+        np.savetxt(tmp_path / f"{name}.xyz", blob.vertices * (1 + 0.02 * i))
+    names = [f"{a}.xyz,{b}.xyz" for a in "abc" for b in "abc" if a != b]
+    (tmp_path / "pairs.csv").write_text("\n".join(["source,target", *names, ""]))
+    reports = []
+    pairs = read_pairs_of_files(tmp_path / "pairs.csv", folder=tmp_path)
+    model = load_model("hks")
+    done = list(match_files(pairs, model=model, workers=THIS_PROCESS, on_collection=reports.append))
+    assert [each.failure for each in done] == [None] * 6
+    assert all(each.verdict == "good" for each in done)
+    # copies of one cloud: all maps agree
+    assert reports[0].miss_before == pytest.approx(0, abs=1e-6)

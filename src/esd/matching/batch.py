@@ -22,6 +22,7 @@ from esd.matching.features import Features
 from esd.matching.landmarks import paired_landmarks
 from esd.matching.match import Mirror, check_copies, match_features, prepared, working_features
 from esd.matching.parts import Scale
+from esd.matching.points import with_surface
 from esd.mesh.geometry import surface_area
 from esd.mesh.io.landmarks import read_landmarks
 from esd.mesh.mesh import Mesh, PointCloud
@@ -92,7 +93,7 @@ class CollectionReport:
     miss_before, miss_after
         Mean distance over √area between images by way of a third shape and by the direct map, by
         the direct maps and by those that were kept, see `esd.matching.collection.cycle_miss`; None
-        where no three maps close, or the maps of shapes without faces.
+        where no three maps close.
     tried, improved
         Number of maps by way of other shapes that were tried, and that were better.
     """
@@ -341,8 +342,8 @@ def _cycle_miss(
     }
     positions: dict[int, FloatArray] = {}
     for i in {i for pair in maps for i in pair}:
-        features = load_features(places[files[i]])
-        assert isinstance(features.shape, Mesh)  # others are not judged
+        features = with_surface(load_features(places[files[i]]))
+        assert isinstance(features.shape, Mesh)
         place = features.located(np.arange(len(features.vertex_index)))
         points = features.shape.vertices / np.sqrt(surface_area(features.shape))
         positions[i] = np.where((place >= 0)[:, None], points[place], np.nan)
