@@ -36,14 +36,14 @@ from real import SETS, Shape, errors_along, known_points, pairs_of, rotated, rul
 
 POINTS = 400
 PAIRS = {
-    "smal_r": 36,
-    "tosca_r": 16,
+    "smal_r": 20,
+    "tosca_r": 10,
     "faust_r": 12,
     "heads": 8,
     "skulls": 6,
     "endocasts": 2,
 }  # and their pairs
-DEVELOPMENT = {"smal_r": 32, "faust_r": 60, "skulls": 20}  # the first shapes by name, else all
+DEVELOPMENT = {"smal_r": 24, "faust_r": 60, "skulls": 20}  # the first shapes by name, else all
 ACROSS = "different classes"
 NAMES = tuple(field.name for field in fields(Evidence))
 COLUMNS = ("set", "source", "target", "model", "candidate", "error", "right", *NAMES)
@@ -57,7 +57,7 @@ def shapes_of(data: Path, name: str) -> list[Shape]:
 
 
 def across(data: Path) -> list[tuple[Shape, Shape]]:
-    """Pairs of different classes."""
+    """Pairs of different classes; both SMAL_r and TOSCA_r have animals on four legs."""
     some = {}
     for name in PAIRS:
         shapes = shapes_of(data, name)
@@ -65,7 +65,7 @@ def across(data: Path) -> list[tuple[Shape, Shape]]:
     return [
         (some[a][i % 2], some[b][(i // 2) % 2])
         for i, (a, b) in enumerate(product(some, some))
-        if a < b
+        if a < b and {a, b} != {"smal_r", "tosca_r"}
     ]
 
 
