@@ -6,25 +6,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
-from scipy.spatial import KDTree
 
 from esd.common import FloatArray, InputError, IntArray
 from esd.deformation.elastic import elastic
 from esd.deformation.fit import Fit, fit
 from esd.matching.partial import Part, PartFit, PartMap, consistent_share, other_part_maps
+from esd.matching.registered import CoarseMesh, beside, coarse_mesh, weights
 from esd.mesh.geometry import edges, is_referenced, surface_area, unit, vertex_normals
 from esd.mesh.mesh import Mesh
-from esd.mesh.surface import nearest_vertices
-from esd.mesh.topology import compacted
 from esd.nearest import nearest
 from esd.parallel import side_by_side
-from esd.spectral.coarse import MeshCopy, coarse_copy
 
-_VERTICES = 1200  # of the copies that are deformed
-_MISS = 0.05  # in √area of the whole: a way there and back that misses by so much halves a weight
 _NORMALS = 0.02  # of unit normals beside positions in √area of the whole, in nearest points
-_EMBEDDINGS = 0.5  # of embeddings beside positions, as their spreads are made equal
 _TOUCHING = 0.04  # in √area of the whole: gap below which embeddings are compared
 _LYING = 0.03  # and that below which shapes count as lying on each other
 _LARGEST = 1.15  # factor by which the size is corrected by what is measured
@@ -36,40 +29,12 @@ _ELSEWHERE = 0.05  # and beyond which they differ in more than details
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Coarse:
-    """A copy of few vertices of a mesh.
-
-    Parameters
-    ----------
-    mesh
-        The copy.
-    near : (c,)
-        The vertex of the original nearest to each of the copy.
-    vertex : (n,)
-        The vertex of the copy nearest to each of the original; -1 for none.
-    copy
-        Where the original's vertices lie on the copy.
-    """
-
-    mesh: Mesh
-    near: IntArray
-    vertex: IntArray
-    copy: MeshCopy
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class _Sized:
-    """A part, and the copy of its mesh in units of √area of the whole; else as `_Coarse`."""
+    """A part, the copy of its mesh, and the mesh of that in units of √area of the whole."""
 
     part: Part
-    copy: Mesh
-    near: IntArray
-    vertex: IntArray
-    located: MeshCopy
-
-    def carried(self, vertices: FloatArray) -> npt.NDArray[np.float64]:
-        """The vertices of the part, (n, 3), where those of the copy are moved to some places."""
-        return self.located.carried(vertices).astype(np.float64)
+    coarse: CoarseMesh
+    mesh: Mesh
 
 
 def best_registered(maps: Sequence[PartMap]) -> PartMap | None:
@@ -87,7 +52,7 @@ def best_registered(maps: Sequence[PartMap]) -> PartMap | None:
     """
     order = sorted(maps, key=lambda found: -found.consistent - found.anchors.agreement)
     try:
-        coarse = _coarse(maps[0].source.mesh), _coarse(maps[0].target.mesh)
+        coarse = coarse_mesh(maps[0].source.mesh), coarse_mesh(maps[0].target.mesh)
     except InputError:
         return None
 
@@ -118,17 +83,17 @@ def _registered(source: _Sized, target: _Sized, found: PartMap) -> PartMap | Non
     maps = _start(found)
     there, back = maps if is_source else maps[::-1]
     scale = 1.0 if found.fit is None else found.fit.enlargement
-    image = there[deformed.near]
-    points = deformed.part.points
-    miss = np.linalg.norm(points[deformed.near] - points[back[image]], axis=1)
-    weight = 1 / (1 + (miss / _MISS) ** 2)
+    near, points = deformed.coarse.near, deformed.part.points
+    image = there[near]
+    weight = weights(np.linalg.norm(points[near] - points[back[image]], axis=1))
+    index = other.coarse.vertex[image]
     try:
-        lying = fit(deformed.copy, other.copy, other.vertex[image], weight, scale=scale, quick=True)
+        lying = fit(deformed.mesh, other.mesh, index, weight, scale=scale, quick=True)
     except InputError:
         return None
-    body = elastic(Mesh(scale * deformed.copy.vertices, deformed.copy.faces))
+    body = elastic(Mesh(scale * deformed.mesh.vertices, deformed.mesh.faces))
     energy = body.energy(lying.vertices)
-    carried = deformed.carried(lying.vertices)
+    carried = deformed.coarse.copy.carried(lying.vertices).astype(np.float64)
     moved = _rows(Mesh(np.nan_to_num(carried), deformed.part.mesh.faces))
     kept = _rows(Mesh(other.part.points, other.part.mesh.faces))
     (to, gap), (back, other_gap) = nearest(moved, kept), nearest(kept, moved)
@@ -149,7 +114,7 @@ def _registered(source: _Sized, target: _Sized, found: PartMap) -> PartMap | Non
         fit=PartFit(
             (gap, other_gap) if is_source else (other_gap, gap),
             is_source,
-            _enlargement(deformed.copy, lying),
+            _enlargement(deformed.mesh, lying),
             energy,
             apart,
             _covered(deformed.part, gap, other.part, other_gap),
@@ -183,28 +148,15 @@ def _start(found: PartMap) -> tuple[IntArray, IntArray]:
     """The map, or what embeddings beside positions make of it where it is of a registration."""
     if found.fit is None:
         return found.forward, found.backward
-    spreads = _spread(found.rows[1]), max(_spread(found.alike[1]), np.finfo(float).tiny)
-    weight = _EMBEDDINGS * spreads[0] / spreads[1]
-    source, target = (
-        np.hstack([position, weight * embedding]).astype(np.float32)
-        for position, embedding in zip(found.rows, found.alike, strict=True)
-    )
+    source, target = (rows.astype(np.float32) for rows in beside(found.rows, found.alike))
     return nearest(source, target)[0], nearest(target, source)[0]
 
 
-def _sized(part: Part, coarse: _Coarse) -> _Sized:
+def _sized(part: Part, coarse: CoarseMesh) -> _Sized:
     """A part with the copy of its mesh, in the units of the part."""
     size = np.sqrt(part.spectrum.area / surface_area(part.mesh))
-    mesh = Mesh(size * coarse.mesh.vertices, coarse.mesh.faces)
-    return _Sized(part, mesh, coarse.near, coarse.vertex, coarse.copy)
-
-
-def _coarse(mesh: Mesh) -> _Coarse:
-    copy = coarse_copy(mesh, _VERTICES)
-    copy = replace(copy, mesh=compacted(copy.mesh)[0])  # with the same faces in the same order
-    used = np.flatnonzero(is_referenced(mesh))
-    near = used[KDTree(mesh.vertices[used]).query(copy.mesh.vertices)[1]]
-    return _Coarse(copy.mesh, near, nearest_vertices(copy.mesh, copy.points), copy)
+    mesh = coarse.copy.mesh
+    return _Sized(part, coarse, Mesh(size * mesh.vertices, mesh.faces))
 
 
 def _rows(mesh: Mesh) -> FloatArray:
@@ -233,8 +185,3 @@ def _apart(one: PartMap, other: PartMap) -> float:
 def _cost(found: PartMap) -> float:
     assert found.fit is not None
     return found.fit.cost
-
-
-def _spread(rows: FloatArray) -> float:
-    """Root mean square distance of rows from their mean, but for NaN: vertices without a face."""
-    return float(np.sqrt(np.nanmean(((rows - np.nanmean(rows, axis=0)) ** 2).sum(axis=1))))

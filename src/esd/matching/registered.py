@@ -17,7 +17,7 @@ from esd.matching.candidates import (
     sample_maps,
     spectral_candidate,
 )
-from esd.mesh.geometry import surface_area, unit, vertex_normals
+from esd.mesh.geometry import is_referenced, surface_area, unit, vertex_normals
 from esd.mesh.mesh import Mesh
 from esd.mesh.surface import nearest_vertices
 from esd.mesh.topology import compacted
@@ -34,25 +34,45 @@ _EMBEDDINGS = 0.5  # of embeddings beside positions, as their spreads are made e
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Coarse:
-    """A shape with a copy of few vertices, which is deformed in its place.
+class CoarseMesh:
+    """A mesh's copy of few vertices, which is deformed in its place.
 
     Parameters
     ----------
-    shape
-        With its samples.
     copy
-        And where the shape's vertices lie on it.
+        And where the mesh's vertices lie on it.
     near : (c,)
-        The vertex of the shape nearest to each of the copy.
+        The vertex of the mesh nearest to each of the copy.
     vertex : (n,)
-        The vertex of the copy nearest to each of the shape; -1 for none.
+        The vertex of the copy nearest to each of the mesh; -1 for none.
     """
 
-    shape: Sampled
     copy: MeshCopy
     near: IntArray
     vertex: IntArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Coarse:
+    """A shape with its samples, and the copy of few vertices of its mesh."""
+
+    shape: Sampled
+    mesh: CoarseMesh
+
+
+def coarse_mesh(mesh: Mesh) -> CoarseMesh:
+    """A mesh's copy of few vertices.
+
+    Raises
+    ------
+    InputError
+        If it has none, being no oriented manifold.
+    """
+    copy = coarse_copy(mesh, _VERTICES)
+    copy = replace(copy, mesh=compacted(copy.mesh)[0])  # with the same faces in the same order
+    used = np.flatnonzero(is_referenced(mesh))
+    near = used[KDTree(mesh.vertices[used]).query(copy.mesh.vertices)[1]]
+    return CoarseMesh(copy, near, nearest_vertices(copy.mesh, copy.points))
 
 
 def coarse(shape: Sampled) -> Coarse | None:
@@ -60,12 +80,14 @@ def coarse(shape: Sampled) -> Coarse | None:
     mesh = shape.features.shape
     assert isinstance(mesh, Mesh)  # point clouds have no candidates
     try:
-        copy = coarse_copy(mesh, _VERTICES)
+        return Coarse(shape, coarse_mesh(mesh))
     except InputError:
         return None
-    copy = replace(copy, mesh=compacted(copy.mesh)[0])  # with the same faces in the same order
-    near = KDTree(mesh.vertices).query(copy.mesh.vertices)[1]
-    return Coarse(shape, copy, near, nearest_vertices(copy.mesh, copy.points))
+
+
+def weights(miss: FloatArray) -> FloatArray:
+    """Of matches that miss by so much, in √area, on the way there and back."""
+    return 1 / (1 + (miss / _MISS) ** 2)
 
 
 def registered(source: Coarse, target: Coarse, candidate: Candidate) -> Candidate | None:
@@ -74,19 +96,18 @@ def registered(source: Coarse, target: Coarse, candidate: Candidate) -> Candidat
     Copies of few vertices are deformed, as `esd.deformation.fit` does; matches that do not return
     count little. None where the candidate leads to too few places to deform by.
     """
-    here, there = source.shape, target.shape
-    image = nearest(candidate.forward[0][source.near], candidate.forward[1])[0]
+    here, there, near = source.shape, target.shape, source.mesh.near
+    image = nearest(candidate.forward[0][near], candidate.forward[1])[0]
     again = nearest(candidate.backward[1][image], candidate.backward[0])[0]
-    miss = np.linalg.norm(here.points[source.near] - here.points[again], axis=1)
-    index = target.vertex[image]
-    weight = 1 / (1 + (miss / _MISS) ** 2)
+    miss = np.linalg.norm(here.points[near] - here.points[again], axis=1)
+    index = target.mesh.vertex[image]
     try:
-        found = fit(source.copy.mesh, target.copy.mesh, index, weight, quick=True)
+        found = fit(source.mesh.copy.mesh, target.mesh.copy.mesh, index, weights(miss), quick=True)
     except InputError:
         return None
     mesh = there.features.shape
     assert isinstance(mesh, Mesh) and isinstance(here.features.shape, Mesh)
-    carried = source.copy.carried(found.vertices / np.sqrt(surface_area(mesh)))
+    carried = source.mesh.copy.carried(found.vertices / np.sqrt(surface_area(mesh)))
     points = np.nan_to_num(carried).astype(np.float64)
     normals = unit(vertex_normals(Mesh(points, here.features.shape.faces)))
     rows = (
@@ -98,13 +119,18 @@ def registered(source: Coarse, target: Coarse, candidate: Candidate) -> Candidat
 
 def with_embeddings(candidate: Candidate, embeddings: Rows) -> Candidate:
     """A registered candidate whose refinement goes by its positions, and by embeddings beside."""
-    spreads = [_spread(rows) for rows in (candidate.forward[1], embeddings[1])]
+    return replace(candidate, embeddings=beside(candidate.forward, embeddings))
+
+
+def beside(positions: Rows, embeddings: Rows) -> Rows:
+    """Rows of positions with embeddings beside, which are spread half as far."""
+    spreads = _spread(positions[1]), _spread(embeddings[1])
     weight = _EMBEDDINGS * spreads[0] / max(spreads[1], np.finfo(float).tiny)
-    beside = tuple(
+    source, target = (
         np.hstack([position, weight * embedding])
-        for position, embedding in zip(candidate.forward, embeddings, strict=True)
+        for position, embedding in zip(positions, embeddings, strict=True)
     )
-    return replace(candidate, embeddings=(beside[0], beside[1]))
+    return source, target
 
 
 def smoothed(source: Sampled, target: Sampled, candidate: Candidate) -> Candidate:
