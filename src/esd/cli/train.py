@@ -189,9 +189,12 @@ def _unsupervised(
     from esd.spectral.cache import default_cache
 
     teaching = Teaching() if steps is None else replace(Teaching(), steps=steps)
-    first = None if start in (None, _NO_START) else load_model(start)
-    perhaps = load_model(DEFAULT_MODEL)
-    tried = perhaps if start is None and can_start(perhaps, training) else None
+    first, tried = None, None
+    if start is None:
+        default = load_model(DEFAULT_MODEL)
+        tried = default if can_start(default, training) else None
+    elif start != _NO_START:
+        first = load_model(start)
     cache = default_cache()
     shapes = len(chosen.shapes) + (len(held.shapes) if held else 0)
     with (

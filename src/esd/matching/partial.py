@@ -51,11 +51,8 @@ _LANDMARK_WEIGHT = 1.5  # of rows of landmarks beside embeddings, which have uni
 _RIDGE = 1e-3
 _REWEIGHTINGS = 6
 
-_ENERGY, _APART, _BARE = (
-    10.0,
-    0.5,
-    0.3,
-)  # weights of the cost of a map along which a shape is deformed
+# weights of the cost of a map along which a shape is deformed
+_ENERGY, _APART, _BARE = 10.0, 0.5, 0.3
 
 _REFINED = 0.2  # consistent share that a refined map may lose
 

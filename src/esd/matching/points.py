@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from esd.common import IntArray
-from esd.matching.candidates import Candidate, pair_descriptors, sampled
+from esd.matching.candidates import candidate_of, pair_descriptors, sampled
 from esd.matching.features import Features
 from esd.matching.judge import Evidence, evidence
 from esd.mesh.cloud import surface_between
@@ -41,8 +41,7 @@ def evidence_of_points(
 ) -> Evidence:
     """The evidence for a map between shapes `with_surface`, and one back, (n,) and (m,)."""
     shapes = sampled(source), sampled(target)
-    here, there = (shape.points for shape in shapes)
-    candidate = Candidate("", (there[target_index], there), (here, here[source_index]), None)
+    candidate = candidate_of(*shapes, target_index, source_index)
     return evidence(*shapes, candidate, pair_descriptors(*shapes))
 
 
