@@ -16,17 +16,18 @@ Equal calls write equal folders.
 from __future__ import annotations
 
 import argparse
+import sys
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import count, islice
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.collections import PolyCollection
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation, Slerp
+from sheet import sheet
 from trimesh.remesh import subdivide_loop
 
 from esd.common import InputError
@@ -38,9 +39,6 @@ from esd.mesh.io.gltf import accessor, read_gltf
 from esd.mesh.mesh import Mesh
 from esd.mesh.repair.repair import repair
 from esd.parallel import THIS_PROCESS
-
-mpl.use("Agg")
-from matplotlib import pyplot as plt
 
 STYLES = ("graded", "even", "graded", "stretched", "adaptive", "rough", "graded")
 """Of the triangles of one shape after another, see `esd.mesh.remesh.styles.STYLES`."""
@@ -305,34 +303,25 @@ def animals(rigs: list[Rig], *, builds: int, seed: int) -> Collection:
     return Collection("animals", tuple(shapes))
 
 
-def sheet(collection: Collection, path: Path, *, columns: int = 12) -> None:
-    """A picture of the shapes, from the side."""
-    count = -(-len(collection.shapes) // columns)
-    figure, axes = plt.subplots(count, columns, figsize=(2 * columns, 1.8 * count), squeeze=False)
-    for axis in axes.ravel():
-        axis.axis("off")
+def draw(axis: Any, mesh: Mesh) -> None:
+    """The mesh seen from the side, painted from back to front."""
     side = Rotation.from_euler("y", 0.6).as_matrix()
-    for axis, shape in zip(axes.ravel(), collection.shapes, strict=False):
-        mesh = shape.mesh()
-        mesh = Mesh(mesh.vertices @ side.T, mesh.faces)
-        corners = mesh.vertices[mesh.faces]
-        order = np.argsort(corners[:, :, 0].mean(axis=1))
-        light = np.clip(unit(face_normals(mesh)) @ [0.8, 0.5, 0.2], 0, 1)[order]
-        flat = np.stack([-corners[order][:, :, 2], corners[order][:, :, 1]], axis=-1)
-        axis.add_collection(PolyCollection(flat, facecolors=plt.cm.gray(0.25 + 0.7 * light)))
-        axis.autoscale()
-        axis.set_aspect("equal")
-        axis.set_title(shape.name, fontsize=7)
-    figure.tight_layout(pad=0.2)
-    figure.savefig(path, dpi=60)
-    plt.close(figure)
+    mesh = Mesh(mesh.vertices @ side.T, mesh.faces)
+    corners = mesh.vertices[mesh.faces]
+    order = np.argsort(corners[:, :, 0].mean(axis=1))
+    light = np.clip(unit(face_normals(mesh)) @ [0.8, 0.5, 0.2], 0, 1)[order]
+    flat = np.stack([-corners[order][:, :, 2], corners[order][:, :, 1]], axis=-1)
+    shades = np.repeat(0.25 + 0.7 * light[:, None], 3, axis=1)
+    axis.add_collection(PolyCollection(flat, facecolors=shades))
+    axis.autoscale()
+    axis.set_aspect("equal")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("pack", type=Path)
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--builds", type=int, default=16, help="of each animal")
+    parser.add_argument("--builds", type=int, default=22, help="of each animal")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--sheet", type=Path, help="picture of the shapes to write")
     options = parser.parse_args()
@@ -340,11 +329,15 @@ def main() -> None:
     files = sorted(options.pack.glob("*.glb"))
     if not files:
         parser.error(f"'{options.pack}' holds no .glb files")
-    rigs = [subdivided(read_rig(path)) for path in files if path.stem != "Horse_White"]
+    try:
+        rigs = [subdivided(read_rig(path)) for path in files if path.stem != "Horse_White"]
+    except InputError as error:
+        sys.exit(str(error))
     collection = animals(rigs, builds=options.builds, seed=options.seed)
     export_folder(collection, options.folder, suffix=".ply", workers=THIS_PROCESS)
     if options.sheet:
-        sheet(collection, options.sheet)
+        shapes = [(shape.name, shape.mesh()) for shape in collection.shapes]
+        sheet(shapes, draw, options.sheet, columns=12, size=(2, 1.8), dpi=60)
 
 
 if __name__ == "__main__":

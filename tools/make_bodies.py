@@ -25,13 +25,13 @@ from typing import Any
 import anny
 import igl
 import igl.copyleft.cgal
-import matplotlib as mpl
 import numpy as np
 import torch
 from anny.face_segmentation import get_face_segmentation_mask
 from matplotlib.collections import PolyCollection
 from scipy import sparse
 from scipy.spatial.transform import Rotation
+from sheet import sheet
 
 from esd.common import whole_file
 from esd.datasets.bodies import PARTS
@@ -45,9 +45,6 @@ from esd.mesh.geometry import (
 )
 from esd.mesh.mesh import Mesh
 from esd.mesh.topology import boundary_edges
-
-mpl.use("Agg")
-from matplotlib import pyplot as plt
 
 POSES = 10
 HALF_FACES = 6890  # of the decimated left half: about 6,900 vertices in all
@@ -547,18 +544,6 @@ def report(shapes: dict[str, Mesh], crossings: dict[str, int], rest: list[Mesh])
         print(np.array2string(table, precision=2, floatmode="fixed"))
 
 
-def sheet(shapes: dict[str, Mesh], path: Path) -> None:
-    """A picture of all shapes: a row for each subject."""
-    subjects = sorted({name.split("_")[0] for name in shapes})
-    figure, axes = plt.subplots(len(subjects), POSES, figsize=(2.2 * POSES, 2.9 * len(subjects)))
-    for axis, (name, mesh) in zip(axes.ravel(), shapes.items(), strict=True):
-        draw(axis, mesh, azimuth=25)
-        axis.set_title(name, fontsize=7)
-    figure.tight_layout(pad=0.2)
-    figure.savefig(path, dpi=60)
-    plt.close(figure)
-
-
 def draw(axis: Any, mesh: Mesh, *, azimuth: float) -> None:
     """The mesh seen from the front, turned by `azimuth`, painted from back to front."""
     turned = Rotation.from_euler("zx", [azimuth, 8], degrees=True).apply(np.array(mesh.vertices))
@@ -719,7 +704,10 @@ def main() -> None:
     shapes = {name: Mesh(x, stored.faces) for name, x in zip(crossings, points, strict=True)}
     report(shapes, crossings, [Mesh(r, stored.faces) for r in stored.rest])
     if options.sheet:
-        sheet(shapes, options.sheet)
+        draw_turned = partial(draw, azimuth=25)
+        sheet(
+            list(shapes.items()), draw_turned, options.sheet, columns=POSES, size=(2.2, 2.9), dpi=60
+        )
 
 
 if __name__ == "__main__":

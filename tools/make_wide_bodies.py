@@ -35,8 +35,8 @@ from make_bodies import (
     least_crossing,
     skin,
 )
-from matplotlib import pyplot as plt
 from scipy.spatial.transform import Rotation
+from sheet import sheet
 
 from esd.datasets.collection import Collection, Shape
 from esd.datasets.export import export_folder
@@ -183,21 +183,6 @@ def collection(made: Skin, bodies: list[Wide]) -> Collection:
     return Collection("wide", tuple(shapes))
 
 
-def sheet(made: Skin, bodies: list[Wide], path: Path, *, columns: int = 10) -> None:
-    """A picture of the bodies."""
-    rows = -(-len(bodies) // columns)
-    figure, axes = plt.subplots(rows, columns, figsize=(1.8 * columns, 2 * rows), squeeze=False)
-    for axis in axes.ravel():
-        axis.axis("off")
-    for axis, body in zip(axes.ravel(), bodies, strict=False):
-        middle = body.vertices.mean(axis=0) - [0, 0, 0.9]
-        draw(axis, Mesh(body.vertices - middle, made.template.faces), azimuth=25)
-        axis.set_title(body.name, fontsize=7)
-    figure.tight_layout(pad=0.2)
-    figure.savefig(path, dpi=50)
-    plt.close(figure)
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path)
@@ -211,7 +196,13 @@ def main() -> None:
     made = skin()
     bodies = people(made, people=options.people, poses=options.poses, seed=options.seed)
     if options.sheet:
-        sheet(made, bodies, options.sheet)
+        middles = [body.vertices.mean(axis=0) - [0, 0, 0.9] for body in bodies]
+        shapes = [
+            (body.name, Mesh(body.vertices - middle, made.template.faces))
+            for body, middle in zip(bodies, middles, strict=True)
+        ]
+        draw_turned = partial(draw, azimuth=25)
+        sheet(shapes, draw_turned, options.sheet, columns=10, size=(1.8, 2), dpi=50)
     export_folder(collection(made, bodies), options.folder, suffix=".ply", workers=THIS_PROCESS)
 
 
