@@ -27,6 +27,19 @@ def test_vts_files_count_from_one(remeshed):
     assert [(s.name, t.name) for s, t in collection.pairs()] == [("cat0", "cat1"), ("cat1", "cat0")]
 
 
+def test_names_of_tosca_are_classes_only_where_all_shapes_have_such(remeshed):
+    for folder, suffix in (("shapes", "off"), ("corres", "vts")):
+        first = remeshed / folder / f"cat0.{suffix}"
+        (remeshed / folder / f"wolf0.{suffix}").write_bytes(first.read_bytes())
+    assert folder_collection(remeshed).unregistered() == ("wolf0",)
+    for folder, suffix in (("shapes", "off"), ("corres", "vts")):
+        first = remeshed / folder / f"cat0.{suffix}"
+        (remeshed / folder / f"cow_alph4.{suffix}").write_bytes(first.read_bytes())
+    collection = folder_collection(remeshed)
+    assert collection.unregistered() == ()
+    assert len(collection.pairs()) == 12  # four animals, each a subject of its own
+
+
 def test_parts_are_named_at_the_points_of_the_template(remeshed):
     parts = remeshed / "parts"
     parts.mkdir()

@@ -42,7 +42,8 @@ def folder_collection(path: str | os.PathLike[str]) -> Collection:
     correspond; of large folders each mesh is checked when it is read, so that opening one takes no
     time. Shapes of several connectivities correspond with no other: each is its own template.
 
-    Subjects follow from the names of FAUST, TOSCA, Dyna and D-FAUST; elsewhere each shape is a
+    Subjects follow from the names of FAUST, Dyna and D-FAUST, and where all shapes have names of
+    TOSCA, so do the classes, which do not correspond with each other; elsewhere each shape is a
     subject of its own. A file `subjects.csv` with the columns `name,subject` and, if shapes of
     several kinds do not correspond with each other, `template`, overrides that.
 
@@ -73,13 +74,13 @@ def folder_collection(path: str | os.PathLike[str]) -> Collection:
     if len(set(names)) != len(names):
         twice = next(name for name in names if names.count(name) > 1)
         raise InputError(f"'{shapes_folder}' has several meshes named '{twice}'.")
-    listed = _listed_subjects(folder / "subjects.csv", names)
+    identities = _identities(names, _listed_subjects(folder / "subjects.csv", names))
     for name in ("corres", "corr"):
         if (folder / name).is_dir():
-            shapes = _with_correspondences(files, folder / name, listed)
+            shapes = _with_correspondences(files, folder / name, identities)
             break
     else:
-        shapes = _without_correspondences(folder, files, listed)
+        shapes = _without_correspondences(folder, files, identities)
     by_name = {file.stem: file for file in files}
     shapes = [_with_landmarks(shape, by_name[shape.name], folder) for shape in shapes]
     return Collection(folder.resolve().name, tuple(shapes))
@@ -157,7 +158,7 @@ def _parts(
 
 
 def _with_correspondences(
-    files: list[Path], corres: Path, listed: Mapping[str, tuple[str, str | None]]
+    files: list[Path], corres: Path, identities: Mapping[str, tuple[str, str]]
 ) -> list[Shape]:
     """Shapes with what a folder of `.vts` files says; those that it lacks are logged."""
     lacking = {file.name for file in files if not (corres / f"{file.stem}.vts").is_file()}
@@ -172,7 +173,7 @@ def _with_correspondences(
             ", ".join(sorted(lacking)),
         )
     found = [file for file in files if file.name not in lacking]
-    templates = {file: _identity(file.stem, listed)[1] for file in found}
+    templates = {file: identities[file.stem][1] for file in found}
     # the first shape of each template says how many points the others must have
     lengths: dict[str, tuple[Path, int]] = {}
     for file in found:
@@ -180,9 +181,9 @@ def _with_correspondences(
         if templates[file] not in lengths:
             lengths[templates[file]] = vts, len(read_vts(vts))
     shapes = [
-        _alone(file, listed)
+        _alone(file, identities)
         if file.name in lacking
-        else _with_vts(file, corres, listed, *lengths[templates[file]])
+        else _with_vts(file, corres, identities, *lengths[templates[file]])
         for file in files
     ]
     compared = np.unique(np.linspace(0, len(found) - 1, num=_COMPARED).round().astype(int))
@@ -192,11 +193,11 @@ def _with_correspondences(
     return shapes
 
 
-def _alone(file: Path, listed: Mapping[str, tuple[str, str | None]]) -> Shape:
+def _alone(file: Path, identities: Mapping[str, tuple[str, str]]) -> Shape:
     """A shape that corresponds with no other: its template is its own mesh."""
     return Shape(
         name=file.stem,
-        subject=_identity(file.stem, listed)[0],
+        subject=identities[file.stem][0],
         template=f"only {file.stem}",
         mesh=partial(_read_shape, file),
         correspondence=partial(_all_vertices, file),
@@ -234,7 +235,7 @@ def _read_points(vts: Path, first: Path, count: int) -> IntArray:
 def _with_vts(
     file: Path,
     corres: Path,
-    listed: Mapping[str, tuple[str, str | None]],
+    identities: Mapping[str, tuple[str, str]],
     first: Path,
     count: int,
 ) -> Shape:
@@ -247,7 +248,7 @@ def _with_vts(
     """
     vts = corres / f"{file.stem}.vts"
     mirrored = corres / f"{file.stem}.sym.vts"
-    subject, template = _identity(file.stem, listed)
+    subject, template = identities[file.stem]
     points = partial(_read_points, vts, first, count)
     return Shape(
         name=file.stem,
@@ -261,17 +262,17 @@ def _with_vts(
 
 
 def _without_correspondences(
-    folder: Path, files: list[Path], listed: Mapping[str, tuple[str, str | None]]
+    folder: Path, files: list[Path], identities: Mapping[str, tuple[str, str]]
 ) -> list[Shape]:
     """Shapes of one connectivity, or such that correspond with no other."""
     place, first = _first_readable(files)
     connectivity = first.connectivity
     compared = np.unique(np.linspace(0, len(files) - 1, num=_COMPARED).round().astype(int))[1:]
     if not all(_has_connectivity(files[i], connectivity) for i in compared[::-1]):
-        return [_alone(file, listed) for file in files]
+        return [_alone(file, identities) for file in files]
     shapes = []
     for file in files:
-        subject, template = _identity(file.stem, listed)
+        subject, template = identities[file.stem]
         everywhere = partial(np.arange, len(first.mesh.vertices))
         parts = _parts(folder, file.stem, everywhere)
         shapes.append(
@@ -354,19 +355,26 @@ def _read_alike(file: Path, first: str, connectivity: str) -> Mesh:
     return found.mesh
 
 
-def _identity(name: str, listed: Mapping[str, tuple[str, str | None]]) -> tuple[str, str]:
-    """Subject and template of a shape."""
-    if name in listed:
-        subject, template = listed[name]
-        return subject, template or "template"
-    tosca = re.fullmatch(rf"({_TOSCA})\d+", name)
-    if tosca:
-        return tosca[1], tosca[1]
-    for pattern in _SUBJECT_PATTERNS:
-        found = re.fullmatch(pattern, name)
-        if found:
-            return found[1], "template"
-    return name, "template"
+def _identities(
+    names: Sequence[str], listed: Mapping[str, tuple[str, str | None]]
+) -> dict[str, tuple[str, str]]:
+    """Subject and template of each shape by name."""
+    found = {name: re.fullmatch(rf"({_TOSCA})\d+", name) for name in names if name not in listed}
+    # a 'dog2' beside a 'cow_alph4' is not TOSCA's
+    tosca = {name: match[1] for name, match in found.items() if match is not None}
+    if len(tosca) < len(found):
+        tosca = {}
+    result = {}
+    for name in names:
+        if name in listed:
+            subject, template = listed[name]
+            result[name] = subject, template or "template"
+        elif name in tosca:
+            result[name] = tosca[name], tosca[name]
+        else:
+            matches = (re.fullmatch(pattern, name) for pattern in _SUBJECT_PATTERNS)
+            result[name] = next((match[1] for match in matches if match), name), "template"
+    return result
 
 
 def _listed_subjects(path: Path, names: Sequence[str]) -> dict[str, tuple[str, str | None]]:
