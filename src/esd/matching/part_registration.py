@@ -18,12 +18,11 @@ from esd.nearest import nearest
 from esd.parallel import side_by_side
 
 _NORMALS = 0.02  # of unit normals beside positions in √area of the whole, in nearest points
-_TOUCHING = 0.04  # in √area of the whole: gap below which embeddings are compared
-_LYING = 0.03  # and that below which shapes count as lying on each other
+_LYING = 0.03  # in √area of the whole: gap below which shapes count as lying on each other
 _LARGEST = 1.15  # factor by which the size is corrected by what is measured
-_TRIED = 3  # of the maps that are given, those that fit best
-_OTHERS = 3  # maps by other anchors
-_KEPT = (4, 3, 2)  # of which are registered once more, and again
+_TRIED = 2  # of the maps that are given, those that fit best
+_OTHERS = 7  # maps by other anchors
+_KEPT = (3, 1)  # of which are registered once more, and again
 _LIKE = 0.02  # in √area of the whole: mean distance of images below which maps are the same
 _ELSEWHERE = 0.05  # and beyond which they differ in more than details
 
@@ -98,12 +97,6 @@ def _registered(source: _Sized, target: _Sized, found: PartMap) -> PartMap | Non
     kept = _rows(Mesh(other.part.points, other.part.mesh.faces))
     (to, gap), (back, other_gap) = nearest(moved, kept), nearest(kept, moved)
     alike = found.alike if is_source else found.alike[::-1]
-    touching = gap < _TOUCHING
-    distance = np.linalg.norm(alike[0] - alike[1][to], axis=1)[touching]
-    mass = deformed.part.spectrum.mass[touching]
-    if not mass.sum() > 0:
-        return None
-    apart = float(distance @ mass / mass.sum())
     forward, backward = (to, back) if is_source else (back, to)
     return replace(
         found,
@@ -116,10 +109,17 @@ def _registered(source: _Sized, target: _Sized, found: PartMap) -> PartMap | Non
             is_source,
             _enlargement(deformed.mesh, lying),
             energy,
-            apart,
+            _rows_apart(other.part, alike[1], alike[0][back]),
             _covered(deformed.part, gap, other.part, other_gap),
         ),
     )
+
+
+def _rows_apart(part: Part, rows: FloatArray, others: FloatArray) -> float:
+    """Mean distance of the rows of a part's vertices from others."""
+    used = is_referenced(part.mesh)
+    distance = np.linalg.norm(rows - others, axis=1)[used]
+    return float(np.average(distance, weights=part.spectrum.mass[used]))
 
 
 def _covered(one: Part, gap: FloatArray, other: Part, other_gap: FloatArray) -> float:

@@ -46,13 +46,14 @@ _ANCHOR_WEIGHT = 2.0  # of rows of anchors beside embeddings, which have unit le
 _AWAY = 0.15  # in √area of the larger shape: how far other anchors lead away
 _AWAY_WEIGHT = 6.0  # of rows of these, which embeddings contradict
 _FORBIDDEN = -10.0  # product of rows of unit length where an anchor must not lead
-_HALVES = 6  # of the target's samples, drawn at random, among which anchors are sought
+_HALVES = 20  # of the target's samples, drawn at random, among which anchors are sought
+_LIKE = 0.05  # in √area of the larger shape: mean distance of anchors below which they are the same
 _LANDMARK_WEIGHT = 1.5  # of rows of landmarks beside embeddings, which have unit length
 _RIDGE = 1e-3
 _REWEIGHTINGS = 6
 
 # weights of the cost of a map along which a shape is deformed
-_ENERGY, _APART, _BARE = 10.0, 0.5, 0.3
+_ENERGY, _APART, _BARE = 3.0, 1.0, 1.0
 
 _REFINED = 0.2  # consistent share that a refined map may lose
 
@@ -72,10 +73,11 @@ _OF_SHARE = 2.91  # weight of the logarithm of the consistent share, for being m
 _GAP = 0.3  # in √area of the whole, at which gaps are cut off
 _OF_COUNTERPART, _OF_RIGHT = [0, 1, 3], [5]
 _COUNTERPART_LYING = (-3.72, -0.67, -0.79, -1.17, 0.55)
-_RIGHT_LYING = (-9.6, -0.83, 3.25)
+_RIGHT_LYING = (-6.39, -1.36, 1.52)
 _OF_CLOSED_LYING = 1.6
-_OF_MARGIN, _OF_ENERGY = 4.05, -1.87  # the second of the logarithm
-_CLEAR, _ALONE = 0.4, 0.2  # margin beyond which it says no more, and that where there is no other
+_OF_MARGIN = 13.48
+_CLEAR, _ALONE = 0.25, 0.2  # margin beyond which it says no more, and that where there is no other
+_UNCLEAR = 0.1  # below which another map may as well be right, and nothing here
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -158,11 +160,11 @@ class PartFit:
     energy
         Of the deformation, over the area of what is deformed.
     apart
-        Mean distance of the embeddings of what lies on each other.
+        Mean distance of the embeddings of the smaller shape and of what it lies next to.
     covered
         Share of the smaller shape that lies on the other.
     margin
-        By how much other maps, which lead elsewhere, cost more; None where no other was found.
+        By how much the best of the maps that lead elsewhere costs more; None where there is none.
     """
 
     gap: tuple[FloatArray, FloatArray]
@@ -234,6 +236,7 @@ class PartMap:
         is_closed = len(boundary_edges(self.target.mesh)) == 0
         columns: tuple[FloatArray, FloatArray] = evidence, evidence
         weights: tuple[tuple[float, ...], tuple[float, ...]] = _COUNTERPART, _RIGHT
+        is_this = 1.0  # probability that no other map is the right one
         if self.fit is None:
             offsets = _OF_CLOSED * is_closed, _OF_SHARE * np.log(self.consistent + 0.1)
         else:
@@ -243,8 +246,9 @@ class PartMap:
                 np.hstack([gap, evidence[:, _OF_COUNTERPART]]),
                 np.hstack([gap, evidence[:, _OF_RIGHT]]),
             )
-            margin = _ALONE if self.fit.margin is None else np.clip(self.fit.margin, 0, _CLEAR)
-            of_map = _OF_MARGIN * margin + _OF_ENERGY * np.log(self.fit.energy + 0.01)
+            margin = _ALONE if self.fit.margin is None else max(self.fit.margin, 0.0)
+            of_map = _OF_MARGIN * min(margin, _CLEAR)
+            is_this = min(margin / _UNCLEAR, 1.0)
             offsets = _OF_CLOSED_LYING * is_closed, of_map
             weights = _COUNTERPART_LYING, _RIGHT_LYING
         logits = [
@@ -254,7 +258,7 @@ class PartMap:
         has, right = (
             np.where(self.forward >= 0, 1 / (1 + np.exp(-logit)), 0.0) for logit in logits
         )
-        return has, right
+        return has, is_this * right
 
 
 def part_map(source: Part, target: Part, *, landmarks: IntArray | None = None) -> PartMap:
@@ -277,22 +281,44 @@ def part_map(source: Part, target: Part, *, landmarks: IntArray | None = None) -
 
 
 def other_part_maps(found: PartMap, *, count: int, seed: int = 0) -> list[PartMap]:
-    """Maps by other anchors than those of a map.
+    """Maps by other anchors than those of a map, which differ from each other.
 
-    First those that lead nowhere near: what is right may be the second best, such as the other
-    side of a symmetric shape. Then the best of some among halves of the target's samples.
+    First those that lead nowhere near the best that are known: what is right may be the second
+    best, such as the other side of a symmetric shape. Then, best first, some among halves of the
+    target's samples: the right ones are often not found among all.
     """
     source, target, rows = found.source, found.target, found.alike
     samples = np.arange(len(target.ways))
-    away = _anchors(source, target, rows, samples, away_from=found.anchors)
     generator = np.random.default_rng(seed)
     halves = [np.flatnonzero(generator.random(len(samples)) < 0.5) for _ in range(_HALVES)]
     tried = [_anchors(source, target, rows, half) for half in halves if len(half)]
-    tried = sorted(tried, key=lambda each: -each.agreement)[: count - 1]
+    tried = sorted(tried, key=lambda each: -each.agreement)
+    best = max((found.anchors, *tried[:1]), key=lambda each: each.agreement)
+    ways = _ways_between(source, target)
+    kept: list[Anchors] = []
+    for each in tried:
+        if all(_apart(each, other, ways) > _LIKE for other in (found.anchors, *kept)):
+            kept.append(each)
+    away = _anchors(source, target, rows, samples, away_from=best)
     return [
         _anchored(source, target, rows, away, _AWAY_WEIGHT),
-        *(_anchored(source, target, rows, each, _ANCHOR_WEIGHT) for each in tried),
+        *(_anchored(source, target, rows, each, _ANCHOR_WEIGHT) for each in kept[: count - 1]),
     ]
+
+
+def _ways_between(source: Part, target: Part) -> FloatArray:
+    """Distances between the target's samples, in √area of the larger shape.
+
+    In that unit, which does not depend on the size of the whole, sizes can be compared.
+    """
+    unit = np.float32(1 / np.sqrt(max(source.spectrum.area, target.spectrum.area)))
+    return np.asarray(unit * target.ways[:, target.sample[: len(target.ways)]])
+
+
+def _apart(one: Anchors, other: Anchors, ways: FloatArray) -> float:
+    """Mean distance of where the same samples lead, by their support."""
+    weights = one.support * other.support + np.finfo(float).tiny
+    return float(np.average(ways[one.target, other.target], weights=weights))
 
 
 def _anchors(
@@ -301,9 +327,8 @@ def _anchors(
     """Anchors that lead to some of the target's samples, or away from where others lead."""
     here, there = source.sample[:_ANCHORS], target.sample[: len(target.ways)]
     similarity = rows[0][here] @ rows[1][there].T
-    # in a unit that does not depend on the size of the whole, so that sizes can be compared
     unit = np.float32(1 / np.sqrt(max(source.spectrum.area, target.spectrum.area)))
-    ways = unit * target.ways[:, there]
+    ways = _ways_between(source, target)
     if away_from is not None:
         similarity[ways[away_from.target] < _AWAY] = _FORBIDDEN
     found = anchors(
