@@ -14,6 +14,7 @@ from esd.matching.partial import Part, PartFit, PartMap, consistent_share, other
 from esd.matching.registered import CoarseMesh, beside, coarse_mesh, weights
 from esd.mesh.geometry import edges, is_referenced, surface_area, unit, vertex_normals
 from esd.mesh.mesh import Mesh
+from esd.mesh.topology import boundary_edges
 from esd.nearest import nearest
 from esd.parallel import side_by_side
 
@@ -107,6 +108,7 @@ def _registered(source: _Sized, target: _Sized, found: PartMap) -> PartMap | Non
         fit=PartFit(
             (gap, other_gap) if is_source else (other_gap, gap),
             is_source,
+            min(len(boundary_edges(each.part.mesh)) for each in (source, target)) > 0,
             _enlargement(deformed.mesh, lying),
             energy,
             _rows_apart(other.part, alike[1], alike[0][back]),

@@ -53,7 +53,8 @@ _RIDGE = 1e-3
 _REWEIGHTINGS = 6
 
 # weights of the cost of a map along which a shape is deformed
-_ENERGY, _APART, _BARE = 3.0, 1.0, 1.0
+_ENERGY, _APART, _BARE = 8.0, 1.0, 1.0
+_ENERGY_OF_PARTS = 3.0  # of two parts, of which what the other lacks is deformed as well
 
 _REFINED = 0.2  # consistent share that a refined map may lose
 
@@ -155,6 +156,8 @@ class PartFit:
         From each vertex of the source and of the target to the other shape, in √area of the whole.
     of_source
         Whether the source was deformed, not the target.
+    of_parts
+        Whether both shapes are parts.
     enlargement
         How much longer lengths became on what was deformed.
     energy
@@ -169,6 +172,7 @@ class PartFit:
 
     gap: tuple[FloatArray, FloatArray]
     of_source: bool
+    of_parts: bool
     enlargement: float
     energy: float
     apart: float
@@ -178,8 +182,8 @@ class PartFit:
     @property
     def cost(self) -> float:
         """The less, the better."""
-        bare = _BARE * (1 - self.covered)
-        return _ENERGY * self.energy + _APART * self.apart + bare
+        energy = (_ENERGY_OF_PARTS if self.of_parts else _ENERGY) * self.energy
+        return energy + _APART * self.apart + _BARE * (1 - self.covered)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
