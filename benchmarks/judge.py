@@ -3,6 +3,8 @@
     python benchmarks/judge.py collect DATA evidence.csv
     python benchmarks/judge.py collect DATA evidence.csv --sets smal_r --model MODEL --shapes A B C
     python benchmarks/judge.py fit evidence.csv
+    python benchmarks/judge.py calibrate DATA matches.csv
+    python benchmarks/judge.py calibrate DATA unseen.csv --unseen
 
 `collect` matches pairs of development shapes, each rotated at random: people, animals, heads and
 skulls, and pairs of different classes, of which nothing is right. The evidence for each candidate
@@ -10,6 +12,11 @@ is a row of the file, with the mean geodesic error of its map over √area, time
 of it that is right, within 5 % of the geodesic diameter; `final` is the refined map of the one that
 was chosen. Pairs that the file has are not measured again. `fit` prints the weights of
 `esd.matching.judge`, and what they choose where each pair is left out in turn, in five parts.
+
+`calibrate` matches other pairs of the same shapes, or with `--unseen` of the others, and writes
+what the confidence is computed from at some vertices of each, and whether they are right. It prints
+the constants of `esd.matching.confidence` that fit these, each set counting the same, and by them
+and by those that there are, for each set: matches by confidence, and verdicts.
 """
 
 from __future__ import annotations
@@ -27,7 +34,9 @@ from scipy.optimize import minimize
 from esd.common import BoolArray, FloatArray, IntArray
 from esd.learning.model import Model, load_model
 from esd.matching import choice as choosing
+from esd.matching import match as matching
 from esd.matching.choice import chosen, elastic
+from esd.matching.confidence import _FAILED, _GOOD, _JUDGED, _OFFSET, evidence
 from esd.matching.judge import Evidence
 from esd.matching.match import match_features, prepared, working_features
 from esd.nearest import nearest
@@ -223,6 +232,115 @@ def fit(options: argparse.Namespace) -> None:
             row(f"{low} to {high}", len(there), *(f"{value:.2f}" for value in values))
 
 
+MATCH_COLUMNS = ("set", "source", "target", "astray", "longest", "accuracy", "right")
+BOUNDS = (0, 0.5, 0.8, 0.9, 0.95, 1.01)  # of the confidences in the tables
+
+
+def matches_of(name: str, source: Shape, target: Shape, model: Model) -> FloatArray:
+    """What speaks for some matches of a pair, its accuracy, and whether each is right, (p, 4)."""
+    cache = default_cache()
+    here, there = (
+        working_features(prepared(each.mesh), model=model, cache=cache) for each in (source, target)
+    )
+    seen = []
+    plain = matching.confidence
+
+    def recorded(mesh, other, index, back, *, accuracy=None):
+        seen.append((evidence(mesh, other, index, back), accuracy))
+        return plain(mesh, other, index, back, accuracy=accuracy)
+
+    matching.confidence = recorded
+    try:
+        found = match_features(here, there, model=model, mirror="no", cache=cache)
+    finally:
+        matching.confidence = plain
+    if not seen:
+        return np.zeros((0, 4))  # as parts
+    values, accuracy = seen[-1]
+    generator = np.random.default_rng(0)
+    if name == ACROSS:
+        vertices = generator.choice(len(source.mesh.vertices), POINTS)
+        right = np.zeros(POINTS)
+    else:
+        scale = ruler(target)
+        known = known_points(source, target, POINTS)
+        vertices = source.index[known]
+        along = errors_along(target, found.target_index[vertices], known)
+        right = (found.target_index[vertices] >= 0) & (along < 0.05 * scale.diameter)
+    at = here.vertex_index[vertices]
+    rows = np.column_stack([values[at], np.full(len(at), accuracy), right])
+    return rows[(at >= 0) & np.isfinite(rows).all(axis=1)]
+
+
+def calibrate(options: argparse.Namespace) -> None:
+    model = load_model(options.model)
+    known: set[tuple[str, ...]] = set()
+    if options.file.exists():
+        with options.file.open(newline="") as file:
+            known = {tuple(each.values())[:3] for each in csv.DictReader(file)}
+    else:
+        options.file.write_text(",".join(MATCH_COLUMNS) + "\n")
+    jobs = []
+    for name in options.sets or [*PAIRS, ACROSS]:
+        if name == ACROSS:
+            jobs += [] if options.unseen else [(name, *pair) for pair in across(options.data)]
+            continue
+        shapes = [rotated(shape) for shape in SETS[name](options.data / name)]
+        count = DEVELOPMENT.get(name, len(shapes))
+        shapes = shapes[count:] if options.unseen else shapes[:count]
+        jobs += [(name, *pair) for pair in pairs_of(shapes, options.pairs, options.seed)]
+    with options.file.open("a", newline="") as file:
+        writer = csv.writer(file)
+        for name, source, target in jobs:
+            if (name, source.name, target.name) not in known:
+                rows = matches_of(name, source, target, model)
+                writer.writerows([name, source.name, target.name, *each] for each in rows.tolist())
+                file.flush()
+    with options.file.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    values = np.array([[float(each[key]) for key in MATCH_COLUMNS[3:]] for each in rows])
+    sets = np.array([each["set"] for each in rows])
+    pair = np.unique([f"{each['source']} {each['target']}" for each in rows], return_inverse=True)[1]
+    bounded = np.clip(values[:, 2], 0.02, 0.995)
+    x = np.column_stack(
+        [np.ones(len(values)), np.log(values[:, :2] + _OFFSET), np.log(bounded / (1 - bounded))]
+    )
+    right = values[:, 3]
+    weight = np.zeros(len(rows))
+    for name in np.unique(sets):
+        weight[sets == name] = 1000 / np.count_nonzero(sets == name)
+
+    def loss(c: FloatArray) -> tuple[float, FloatArray]:
+        z = x @ c
+        value = weight @ (np.logaddexp(0, z) - right * z)
+        return value, x.T @ (weight * (1 / (1 + np.exp(-z)) - right))
+
+    fitted = minimize(loss, np.array(_JUDGED), jac=True).x
+    print("confidence:", *fitted.round(3))
+    for title, constants in (("as it is", np.array(_JUDGED)), ("as fitted here", fitted)):
+        found = 1 / (1 + np.exp(-(x @ constants)))
+        print(f"\n{title}\n")
+        bins = [f"{low:g} to {min(high, 1):g}" for low, high in pairwise(BOUNDS)]
+        table("set", "pairs", "confidence", "right", *bins, "good, least right", "doubtful", "failed")
+        for name in dict.fromkeys(sets):
+            of_set = sets == name
+            cells = []
+            for low, high in pairwise(BOUNDS):
+                there = of_set & (found >= low) & (found < high)
+                share = there.sum() / of_set.sum()
+                cells.append(f"{right[there].mean():.2f} ({share:.0%})" if there.any() else "")
+            numbers = np.unique(pair[of_set])
+            expected = np.array([found[pair == each].mean() for each in numbers])
+            true = np.array([right[pair == each].mean() for each in numbers])
+            is_good, is_failed = expected >= _GOOD, expected < _FAILED
+            for there in (is_good, ~is_good & ~is_failed, is_failed):
+                some = true[there]
+                ends = f" ({some.min():.2f} to {some.max():.2f})" if len(some) else ""
+                cells.append(f"{len(some)}{ends}")
+            means = found[of_set].mean(), right[of_set].mean()
+            row(name, len(numbers), *(f"{mean:.3f}" for mean in means), *cells)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     commands = parser.add_subparsers(required=True)
@@ -237,6 +355,15 @@ def main() -> None:
     fitting = commands.add_parser("fit")
     fitting.add_argument("file", type=Path)
     fitting.set_defaults(run=fit)
+    calibrating = commands.add_parser("calibrate")
+    calibrating.add_argument("data", type=Path)
+    calibrating.add_argument("file", type=Path)
+    calibrating.add_argument("--sets", nargs="*", choices=[*PAIRS, ACROSS])
+    calibrating.add_argument("--unseen", action="store_true", help="shapes not for development")
+    calibrating.add_argument("--pairs", type=int, default=12, help="of each set")
+    calibrating.add_argument("--model", default="default")
+    calibrating.add_argument("--seed", type=int, default=11)
+    calibrating.set_defaults(run=calibrate)
     options = parser.parse_args()
     options.run(options)
 

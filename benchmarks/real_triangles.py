@@ -47,7 +47,7 @@ def decimated(mesh: Mesh, count: int) -> Mesh:
     vertices, faces = fast_simplification.simplify(
         (mesh.vertices / scale).astype(np.float32),
         mesh.faces.astype(np.int32),
-        target_count=2 * count,
+        target_count=min(2 * count, len(mesh.faces) - 1),
     )
     return Mesh(vertices.astype(float) * scale, faces)
 
