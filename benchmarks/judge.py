@@ -96,13 +96,13 @@ def rows_of(name: str, source: Shape, target: Shape, model: Model) -> list[dict[
     choice = elastic(chosen(here, there))
     found = match_features(here, there, model=model, mirror="no", cache=cache)
     maps = [("final", choice.evidence, found.target_index)]
-    for candidate, evidence in choice.computed:
+    for candidate, found_evidence in choice.computed:
         index = nearest(*candidate.forward)[0][here.vertex_index]
-        maps.append((candidate.name, evidence, there.original_index[index]))
+        maps.append((candidate.name, found_evidence, there.original_index[index]))
     rows = []
-    for candidate, evidence, index in maps:
+    for candidate, found_evidence, index in maps:
         error, right = (50.0, 0.0) if name == ACROSS else errors(source, target, index)
-        values = {each: getattr(evidence, each) for each in NAMES}
+        values = {each: getattr(found_evidence, each) for each in NAMES}
         rows.append({"candidate": candidate, "error": error, "right": right} | values)
     return rows
 
@@ -300,7 +300,9 @@ def calibrate(options: argparse.Namespace) -> None:
         rows = list(csv.DictReader(file))
     values = np.array([[float(each[key]) for key in MATCH_COLUMNS[3:]] for each in rows])
     sets = np.array([each["set"] for each in rows])
-    pair = np.unique([f"{each['source']} {each['target']}" for each in rows], return_inverse=True)[1]
+    pair = np.unique([f"{each['source']} {each['target']}" for each in rows], return_inverse=True)[
+        1
+    ]
     bounded = np.clip(values[:, 2], 0.02, 0.995)
     x = np.column_stack(
         [np.ones(len(values)), np.log(values[:, :2] + _OFFSET), np.log(bounded / (1 - bounded))]
@@ -321,7 +323,9 @@ def calibrate(options: argparse.Namespace) -> None:
         found = 1 / (1 + np.exp(-(x @ constants)))
         print(f"\n{title}\n")
         bins = [f"{low:g} to {min(high, 1):g}" for low, high in pairwise(BOUNDS)]
-        table("set", "pairs", "confidence", "right", *bins, "good, least right", "doubtful", "failed")
+        table(
+            "set", "pairs", "confidence", "right", *bins, "good, least right", "doubtful", "failed"
+        )
         for name in dict.fromkeys(sets):
             of_set = sets == name
             cells = []
