@@ -76,3 +76,14 @@ def test_boundaries_and_fillings_take_no_part(potato):
     shape = posed(opened, filling=filling)
     assert not shape.usable.all()
     assert not filling[shape.sample].any()
+
+
+def test_the_alignment_does_not_depend_on_how_shapes_lie(potato):
+    other = posed(bent(potato, 0.3))
+    found = [
+        aligned(posed(Mesh(potato.vertices @ turn.T, potato.faces)), other)
+        for turn in Rotation.random(4, random_state=0).as_matrix()
+    ]
+    for each in found[1:]:
+        assert each.residual == pytest.approx(found[0].residual, rel=1e-9)
+        np.testing.assert_allclose(each.source.points, found[0].source.points, atol=1e-9)

@@ -19,7 +19,8 @@ from esd.mesh.topology import boundary_edges
 _NORMAL = 0.2  # weight of unit normals beside positions of unit root mean square radius
 _COARSE, _SAMPLES = 300, 1500  # vertices that starts are compared by, and that alignment takes
 _ROTATIONS = 8  # random starts beside the four of the principal axes
-_KEPT = 2  # starts that are aligned finely
+_KEPT = 4  # starts that are aligned finely
+_SAME = 0.3  # rotations that differ by less, in radians, are one start
 _TRIM = 0.8  # share of the correspondences nearer than which they count fully
 _EXACT = 1e-9  # in √area: distances below it are rounding errors
 _CENTRES, _REACH = 60, 0.8  # of the Gaussian kernels that deform, in units of the radius
@@ -142,10 +143,9 @@ def aligned(
         _robust_fit(source.points[here], target.points[there], sign) for here, there in matches
     ]
     starts = [_followed(source, target, *start, sign) for start in (*rotations, *fitted)]
-    starts.sort(key=lambda found: found[0])
     trees = KDTree(target.keys()[target.sample]), KDTree(target.keys())
     return min(
-        (_affine(source, target, trees, *start[1:], sign) for start in starts[:_KEPT]),
+        (_affine(source, target, trees, *start, sign) for start in _different(starts)[:_KEPT]),
         key=lambda alignment: alignment.residual,
     )
 
@@ -203,19 +203,20 @@ def deformed(
 
 
 def _rotations(source: Posed, target: Posed, *, mirrored: bool, seed: int) -> list[FloatArray]:
-    """Orthogonal matrices to start from."""
-    axes = [
-        np.linalg.svd(shape.points[shape.sample], full_matrices=False)[2]
-        for shape in (source, target)
-    ]
+    """Orthogonal matrices to start from, which turn with the shapes."""
+    axes = [_principal_axes(shape.points[shape.sample]) for shape in (source, target)]
     sign = -1.0 if mirrored else 1.0
-    found = []
-    for flips in ((1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)):
-        matrix = axes[1].T @ np.diag(flips) @ axes[0]
-        # the axes themselves may be left-handed: all three flipped are right-handed then
-        found.append(matrix if np.linalg.det(matrix) * sign > 0 else -matrix)
+    flips = [np.diag(each) for each in ((1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1))]
     random = Rotation.random(_ROTATIONS, random_state=seed).as_matrix()
-    return [*found, *(rotation @ np.diag([sign, 1.0, 1.0]) for rotation in random)]
+    turned = [axes[1].T @ rotation @ axes[0] for rotation in (*flips, *random)]
+    # the axes themselves may be left-handed: all three flipped are right-handed then
+    return [each if np.linalg.det(each) * sign > 0 else -each for each in turned]
+
+
+def _principal_axes(points: FloatArray) -> FloatArray:
+    """Of points around the origin, (3, 3), a row each, towards where they reach farther."""
+    axes = np.linalg.svd(points, full_matrices=False)[2]
+    return np.asarray(axes * np.where(((points @ axes.T) ** 3).sum(axis=0) < 0, -1.0, 1.0)[:, None])
 
 
 def _robust_fit(
@@ -259,6 +260,21 @@ def _followed(
         )
     limit = np.quantile(distance, 0.95)
     return float(np.sqrt((np.minimum(distance, limit) ** 2).mean())), linear, shift
+
+
+def _different(
+    starts: Sequence[tuple[float, FloatArray, FloatArray]],
+) -> list[tuple[FloatArray, FloatArray]]:
+    """Matrices and shifts, best first, without those that lead where a better one does."""
+    found: list[tuple[FloatArray, FloatArray]] = []
+    for _, linear, shift in sorted(starts, key=lambda start: start[0]):
+        size = np.linalg.norm(linear)
+        if all(
+            np.trace(linear.T @ other) < (1 + 2 * np.cos(_SAME)) / 3 * size * np.linalg.norm(other)
+            for other, _ in found
+        ):
+            found.append((linear, shift))
+    return found
 
 
 def _affine(
