@@ -5,7 +5,8 @@
     python benchmarks/real.py DATA --output real.csv --methods esd icp nearest pyfm
 
 DATA is a folder of data sets as `SETS` lists them. Rows are appended to the file as they are
-measured, and those that it has are not measured again; `--again esd` measures a method anew.
+measured, and those that it has are not measured again; `--again esd` measures a method anew, on
+the sets of `--sets`.
 Errors are distances to the true point in per cent of the diagonal of the target's bounding box,
 and geodesic ones × 100 over √area. Where no truth is known, the source is brought to the target by
 the affine map that fits its matches best, and the error is the mean distance of both surfaces to
@@ -425,7 +426,8 @@ def main() -> None:
     parser.add_argument("--only-table", action="store_true", help="measure nothing")
     options = parser.parse_args()
     old = read_rows(options.output) if options.output.exists() else []
-    write_rows(options.output, (r for r in old if r["method"] not in options.again), "w")
+    kept = (r for r in old if r["method"] not in options.again or r["set"] not in options.sets)
+    write_rows(options.output, kept, "w")
     for name in [] if options.only_table else options.sets:
         shapes = [rotated(shape) for shape in SETS[name](options.data / name)]
         for source, target in pairs_of(shapes, options.pairs, options.seed):
