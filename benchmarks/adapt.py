@@ -17,7 +17,7 @@ from itertools import permutations
 from pathlib import Path
 
 import numpy as np
-from measure import row, table
+from measure import row, rows_in, table
 
 from esd.datasets.collection import Shape
 from esd.datasets.open import open_collection
@@ -53,10 +53,7 @@ def main() -> None:
     shapes = shapes[-options.last :] if options.last else shapes
     pairs = list(permutations(shapes, 2))
     np.random.default_rng(options.seed).shuffle(pairs)
-    if not options.csv.exists():
-        options.csv.write_text(",".join(COLUMNS) + "\n")
-    with options.csv.open(newline="") as file:
-        known = {(each["source"], each["target"]) for each in csv.DictReader(file)}
+    known = {(each["source"], each["target"]) for each in rows_in(options.csv, COLUMNS)}
     for pair in pairs[: options.pairs]:
         names = tuple(shape.name for shape in pair)
         if names in known:
@@ -76,8 +73,7 @@ def main() -> None:
         with options.csv.open("a", newline="") as file:
             values = *(f"{each:.3f}" for each in figures), adaptation.is_kept, f"{cpu:.1f}"
             csv.writer(file).writerow((*names, *values))
-    with options.csv.open(newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = rows_in(options.csv, COLUMNS)
     table("map", "pairs", "mean error", "median of maps", "worst map")
     for name in ("plain", "adapted"):
         errors = np.array([float(each[name]) for each in rows])

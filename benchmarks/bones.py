@@ -19,11 +19,11 @@ from itertools import permutations
 from pathlib import Path
 
 import numpy as np
-from measure import ROOT, row, table
+from measure import ROOT, row, rows_in, table
 from scipy.spatial.transform import Rotation
 
 import esd
-from esd.common import IntArray
+from esd.common import InputError, IntArray
 from esd.mesh.mesh import Mesh
 from real import by_icp
 
@@ -75,14 +75,18 @@ def main() -> None:
     parser.add_argument("--pairs", type=int, help="only some pairs, drawn by the seed")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
-    rigs = [read_rig(path) for path in sorted(options.pack.glob(f"{options.include}.glb"))]
+    try:
+        rigs = [read_rig(path) for path in sorted(options.pack.glob(f"{options.include}.glb"))]
+    except InputError as error:
+        sys.exit(str(error))
+    if len(rigs) < 2:
+        sys.exit(
+            f"'{options.pack}' holds {len(rigs)} rigs that are included; expected two or more."
+        )
     meshes = {rig.name: turned(rig, number) for number, rig in enumerate(rigs)}
     pairs = list(permutations(rigs, 2))
     np.random.default_rng(options.seed).shuffle(pairs)
-    if not options.csv.exists():
-        options.csv.write_text(",".join(COLUMNS) + "\n")
-    with options.csv.open(newline="") as file:
-        measured = {(each["source"], each["target"]) for each in csv.DictReader(file)}
+    measured = {(each["source"], each["target"]) for each in rows_in(options.csv, COLUMNS)}
     for source, target in pairs[: options.pairs]:
         if (source.name, target.name) in measured:
             continue
@@ -94,8 +98,7 @@ def main() -> None:
             head = source.name, target.name
             writer.writerow([*head, "esd", *shares(source, target, found.target_index), *judged])
             writer.writerow([*head, "icp", *shares(source, target, by_icp(*shapes)[0]), "", ""])
-    with options.csv.open(newline="") as file:
-        rows = [each for each in csv.DictReader(file) if each["source"] in meshes]
+    rows = [each for each in rows_in(options.csv, COLUMNS) if each["source"] in meshes]
     table("map", "pairs", "verdict", "bone right", "or one next to it", "least", "other side")
     for method in ("esd", "icp"):
         for verdict in ("good", "doubtful", "failed", "mirrored", ""):

@@ -28,15 +28,16 @@ from itertools import pairwise, product
 from pathlib import Path
 
 import numpy as np
-from measure import row, table
+from measure import row, rows_in, table
 from scipy.optimize import minimize
 
 from esd.common import BoolArray, FloatArray, IntArray
 from esd.learning.model import Model, load_model
 from esd.matching import choice as choosing
+from esd.matching import confidence as trust
 from esd.matching import match as matching
 from esd.matching.choice import chosen, elastic
-from esd.matching.confidence import _FAILED, _GOOD, _JUDGED, _OFFSET, evidence
+from esd.matching.confidence import _FAILED, _GOOD, _JUDGED, _OFFSET
 from esd.matching.judge import Evidence
 from esd.matching.match import match_features, prepared, working_features
 from esd.nearest import nearest
@@ -96,13 +97,13 @@ def rows_of(name: str, source: Shape, target: Shape, model: Model) -> list[dict[
     choice = elastic(chosen(here, there))
     found = match_features(here, there, model=model, mirror="no", cache=cache)
     maps = [("final", choice.evidence, found.target_index)]
-    for candidate, found_evidence in choice.computed:
+    for candidate, evidence in choice.computed:
         index = nearest(*candidate.forward)[0][here.vertex_index]
-        maps.append((candidate.name, found_evidence, there.original_index[index]))
+        maps.append((candidate.name, evidence, there.original_index[index]))
     rows = []
-    for candidate, found_evidence, index in maps:
+    for candidate, evidence, index in maps:
         error, right = (50.0, 0.0) if name == ACROSS else errors(source, target, index)
-        values = {each: getattr(found_evidence, each) for each in NAMES}
+        values = {each: getattr(evidence, each) for each in NAMES}
         rows.append({"candidate": candidate, "error": error, "right": right} | values)
     return rows
 
@@ -246,7 +247,7 @@ def matches_of(name: str, source: Shape, target: Shape, model: Model) -> FloatAr
     plain = matching.confidence
 
     def recorded(mesh, other, index, back, *, accuracy=None):
-        seen.append((evidence(mesh, other, index, back), accuracy))
+        seen.append((trust.evidence(mesh, other, index, back), accuracy))
         return plain(mesh, other, index, back, accuracy=accuracy)
 
     matching.confidence = recorded
@@ -274,12 +275,7 @@ def matches_of(name: str, source: Shape, target: Shape, model: Model) -> FloatAr
 
 def calibrate(options: argparse.Namespace) -> None:
     model = load_model(options.model)
-    known: set[tuple[str, ...]] = set()
-    if options.file.exists():
-        with options.file.open(newline="") as file:
-            known = {tuple(each.values())[:3] for each in csv.DictReader(file)}
-    else:
-        options.file.write_text(",".join(MATCH_COLUMNS) + "\n")
+    known = {tuple(each.values())[:3] for each in rows_in(options.file, MATCH_COLUMNS)}
     jobs = []
     for name in options.sets or [*PAIRS, ACROSS]:
         if name == ACROSS:
@@ -296,8 +292,7 @@ def calibrate(options: argparse.Namespace) -> None:
                 rows = matches_of(name, source, target, model)
                 writer.writerows([name, source.name, target.name, *each] for each in rows.tolist())
                 file.flush()
-    with options.file.open(newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = rows_in(options.file, MATCH_COLUMNS)
     values = np.array([[float(each[key]) for key in MATCH_COLUMNS[3:]] for each in rows])
     sets = np.array([each["set"] for each in rows])
     pair = np.unique([f"{each['source']} {each['target']}" for each in rows], return_inverse=True)[

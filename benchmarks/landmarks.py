@@ -18,7 +18,7 @@ from itertools import permutations
 from pathlib import Path
 
 import numpy as np
-from measure import row, table
+from measure import row, rows_in, table
 from scipy.sparse import csgraph
 from scipy.spatial import KDTree
 
@@ -103,10 +103,7 @@ def main() -> None:
     shapes = shapes[-options.last :] if options.last else shapes
     pairs = list(permutations(range(len(shapes)), 2))
     np.random.default_rng(options.seed).shuffle(pairs)
-    if not options.csv.exists():
-        options.csv.write_text(",".join(COLUMNS) + "\n")
-    with options.csv.open(newline="") as file:
-        done = list(csv.DictReader(file))
+    done = rows_in(options.csv, COLUMNS)
     known = {(each["source"], each["target"], each["landmarks"]) for each in done}
 
     def described(number: int) -> tuple[Mesh, IntArray, Features]:

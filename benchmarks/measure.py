@@ -6,6 +6,7 @@ python benchmarks/measure.py --peers FOLDER      # installs them all there, befo
 from __future__ import annotations
 
 import argparse
+import csv
 import os
 import re
 import subprocess
@@ -13,6 +14,7 @@ import sys
 import tempfile
 import time
 import venv
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -103,6 +105,14 @@ def cost(command: list[str], *, cache: Path | str = "off") -> Cost:
             raise RuntimeError(" ".join(errors.read().split())[-300:])
         cpu = usage.ru_utime + usage.ru_stime
         return Cost(wall, cpu, usage.ru_maxrss / 1024, output.read())
+
+
+def rows_in(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
+    """The rows that a CSV file has; one that is missing is made, with its header."""
+    if not path.exists():
+        path.write_text(",".join(columns) + "\n")
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
 
 
 def table(*columns: str) -> None:
