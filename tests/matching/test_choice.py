@@ -109,3 +109,16 @@ def test_of_a_registered_pair_the_map_of_least_cost_is_taken(pair, monkeypatch, 
     monkeypatch.setattr("esd.matching.match._full_maps", lambda *_, **__: raw)
     taken = _tightened(*pair, found, refined, device="cpu")
     assert [taken is refined, taken is raw] == [best == "refined", best == "as it came"]
+
+
+@pytest.mark.parametrize("best", ["refined", "as it came"])
+def test_an_aligned_map_is_refined_where_that_costs_less(pair, monkeypatch, best):
+    found = chosen(*pair, names=["extrinsic"])
+    assert found.candidate.is_extrinsic and found.copies is None
+    refined = _full_maps(*pair, found.candidate, refine=True, device="cpu")
+    raw = _full_maps(*pair, found.candidate, refine=False, device="cpu")
+    costs = iter([float(name != best) for name in ("refined", "as it came")])
+    monkeypatch.setattr("esd.matching.match.cost", lambda _: next(costs))
+    monkeypatch.setattr("esd.matching.match._full_maps", lambda *_, **__: raw)
+    taken = _tightened(*pair, found, refined, device="cpu")
+    assert taken is (refined if best == "refined" else raw)

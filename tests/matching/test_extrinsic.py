@@ -4,7 +4,7 @@ from scipy.spatial.transform import Rotation
 
 from esd.matching.extrinsic import aligned, deformed, posed
 from esd.mesh.mesh import Mesh
-from esd.mesh.shapes import grid
+from esd.mesh.shapes import grid, subdivide
 
 
 def bent(mesh: Mesh, amount: float) -> Mesh:
@@ -87,3 +87,21 @@ def test_the_alignment_does_not_depend_on_how_shapes_lie(potato):
     for each in found[1:]:
         assert each.residual == pytest.approx(found[0].residual, rel=1e-9)
         np.testing.assert_allclose(each.source.points, found[0].source.points, atol=1e-9)
+
+
+def test_details_are_fitted_beyond_what_moves_as_a_whole(potato):
+    waves = Mesh(potato.vertices + 0.04 * np.sin(3 * potato.vertices[:, [1, 2, 0]]), potato.faces)
+    source, target = posed(potato, seed=1), posed(waves, seed=2)
+    before, after = (
+        np.linalg.norm(shape.points - target.points, axis=1).mean()
+        for shape in (source, deformed(source, target))
+    )
+    assert after < 0.3 * before  # 0.6 without details
+
+
+def test_other_vertices_of_the_same_surface_displace_nothing(potato):
+    source, target = posed(potato), posed(subdivide(potato))
+    shift = target.points[: len(source.points)] - source.points  # the frames differ a little
+    moved = deformed(source, target).points - source.points - shift
+    edge = np.linalg.norm(np.diff(source.points[source.faces[:, :2]], axis=1), axis=2).mean()
+    assert np.sqrt((moved**2).sum(axis=1).mean()) < 0.1 * edge

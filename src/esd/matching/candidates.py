@@ -104,6 +104,11 @@ class Candidate:
     backward: Rows
     embeddings: Rows | None
 
+    @property
+    def is_extrinsic(self) -> bool:
+        """Whether the map is by alignment, not refined yet."""
+        return self.name.endswith("extrinsic")
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairDescriptors:
@@ -295,4 +300,4 @@ def extrinsic_candidate(source: Posed, target: Posed, *, name: str = "extrinsic"
         np.hstack([source.points, _NORMALS * source.normals]),
         np.hstack([target.points, _NORMALS * target.normals]),
     )
-    return Candidate(name, rows, rows, None)
+    return Candidate(name, rows, rows, rows)

@@ -7,10 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+from scipy import sparse
 from scipy.spatial import KDTree
+from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
 from esd.common import BoolArray, FloatArray, IntArray
+from esd.matching.precise import precise_map
 from esd.mesh.geometry import unit, vertex_areas, vertex_normals
 from esd.mesh.mesh import Mesh
 from esd.mesh.sampling import spread
@@ -23,8 +26,9 @@ _KEPT = 4  # starts that are aligned finely
 _SAME = 0.3  # rotations that differ by less, in radians, are one start
 _TRIM = 0.8  # share of the correspondences nearer than which they count fully
 _EXACT = 1e-9  # in √area: distances below it are rounding errors
-_CENTRES, _REACH = 60, 0.8  # of the Gaussian kernels that deform, in units of the radius
-_AMPLITUDE = 0.02  # expected displacement, in units of the radius
+_WHOLE, _DETAIL = (60, 0.8), (300, 0.3)  # number, and width in radii, of kernels that deform
+_AMPLITUDE = 0.02  # expected displacement, in radii; the largest in detail
+_OF_FOUND = 2.0  # expected displacement, times that of the round before, which is too small
 _LANDMARK = 10.0  # weight of a landmark beside that of a nearest point
 _RESOLUTION = 0.01  # least residual that is believed, in units of the radius
 
@@ -156,14 +160,13 @@ def deformed(
     *,
     landmarks: tuple[IntArray, IntArray] | None = None,
     rounds: int = 15,
-    amplitude: float = _AMPLITUDE,
-    reach: float = _REACH,
-    centres: int = _CENTRES,
 ) -> Posed:
-    """An aligned source deformed smoothly onto the target.
+    """An aligned source deformed smoothly onto the target, first as a whole, then in detail.
 
     The displacement is a Gaussian process: sums of Gaussian kernels, whose expected size is known
     and whose residual is estimated in each round, so that shapes that fit already are left alone.
+    In detail the size is estimated too, and points of one surface are drawn to the nearest of the
+    other, which need not be vertices: the distances between vertices would count as displacement.
 
     Parameters
     ----------
@@ -174,32 +177,66 @@ def deformed(
     ----------
     Myronenko, Song 2010, *Point set registration: coherent point drift*.
     """
-    tree = KDTree(target.keys())
-    centre = source.points[source.sample][spread(source.points[source.sample], centres)]
+    corners = [sparse.eye_array(len(each.points), format="csr") for each in (source, target)]
+    for kernels in (_WHOLE, _DETAIL):
+        in_detail = kernels is _DETAIL
+        basis = _smooth_functions(source, *kernels)
+        amplitude, result = _AMPLITUDE, source
+        for _ in range(rounds):
+            rows = result.keys()[source.sample], target.keys()[target.sample]
+            there, is_usable = _nearest_places(target, rows[0], on_faces=in_detail)
+            here, is_usable_too = _nearest_places(result, rows[1], on_faces=in_detail)
+            here = sparse.vstack([corners[0][source.sample][is_usable], here[is_usable_too]])
+            there = sparse.vstack([there[is_usable], corners[1][target.sample][is_usable_too]])
+            weight = _trimmed(np.linalg.norm(here @ result.keys() - there @ target.keys(), axis=1))
+            if landmarks is not None:
+                here = sparse.vstack([here, corners[0][landmarks[0]]])
+                there = sparse.vstack([there, corners[1][landmarks[1]]])
+                weight = np.append(weight, np.full(len(landmarks[0]), _LANDMARK))
+            aim = there @ target.points
+            gap = ((here @ result.points - aim) ** 2).sum(axis=1) / 3
+            variance = max(weight @ gap / weight.sum(), _RESOLUTION**2)
+            values = here @ basis
+            normal = (values * weight[:, None]).T @ values
+            normal[np.diag_indices_from(normal)] += variance / amplitude**2
+            moments = (values * weight[:, None]).T @ (aim - here @ source.points)
+            moved = basis @ np.linalg.solve(normal, moments)
+            result = source.displaced(source.points + moved)
+            if in_detail:
+                found = float(np.sqrt((moved[source.sample] ** 2).mean()))
+                amplitude = float(np.clip(_OF_FOUND * found, _EXACT, _AMPLITUDE))
+        source = result
+    return source
+
+
+def _smooth_functions(shape: Posed, count: int, width: float) -> FloatArray:
+    """Functions (n, c) whose sums, with coefficients of unit variance, are a Gaussian process."""
+    points = shape.points[shape.sample]
+    centre = points[spread(points, count)]
 
     def kernel(points: FloatArray) -> FloatArray:
-        squared = ((points[:, None] - centre) ** 2).sum(axis=2)
-        return np.asarray(np.exp(-squared / (2 * reach**2)))
+        return np.asarray(np.exp(cdist(points, centre, "sqeuclidean") / (-2 * width**2)))
 
     values, vectors = np.linalg.eigh(kernel(centre))
     kept = values > 1e-6 * values[-1]
-    basis = kernel(source.points) @ (vectors[:, kept] / np.sqrt(values[kept]))  # (n, c)
-    result = source
-    for _ in range(rounds):
-        here, there, weight, _ = _pairs(result, target, tree)
-        if landmarks is not None:
-            here, there = (
-                np.concatenate(ends) for ends in zip((here, there), landmarks, strict=True)
-            )
-            weight = np.append(weight, np.full(len(landmarks[0]), _LANDMARK))
-        gap = ((result.points[here] - target.points[there]) ** 2).sum(axis=1) / 3
-        variance = max(weight @ gap / weight.sum(), _RESOLUTION**2)
-        rows = basis[here]
-        normal = (rows * weight[:, None]).T @ rows
-        normal[np.diag_indices_from(normal)] += variance / amplitude**2
-        moments = (rows * weight[:, None]).T @ (target.points[there] - source.points[here])
-        result = result.displaced(source.points + basis @ np.linalg.solve(normal, moments))
-    return result
+    return np.asarray(kernel(shape.points) @ (vectors[:, kept] / np.sqrt(values[kept])))
+
+
+def _nearest_places(
+    shape: Posed, rows: FloatArray, *, on_faces: bool
+) -> tuple[sparse.csr_array, BoolArray]:
+    """Weights (r, n) of the vertices at the places nearest to some rows, and which are usable."""
+    keys = shape.keys()
+    faced = np.flatnonzero(np.bincount(shape.faces.ravel(), minlength=len(keys)))
+    index = faced[KDTree(keys[faced]).query(rows)[1]]
+    columns: IntArray = index[:, None]
+    weights: FloatArray = np.ones((len(rows), 1))
+    if on_faces:
+        place = precise_map(rows, keys, shape.faces, index)
+        columns, weights = shape.faces[place.face], place.weights
+    start = columns.shape[1] * np.arange(len(rows) + 1)
+    places = sparse.csr_array((weights.ravel(), columns.ravel(), start), (len(rows), len(keys)))
+    return places, shape.usable[index]
 
 
 def _rotations(source: Posed, target: Posed, *, mirrored: bool, seed: int) -> list[FloatArray]:
@@ -323,13 +360,18 @@ def _pairs(
         back, here = KDTree(keys).query(sought)
     one, two = target.usable[there], source.usable[here]
     distance = np.concatenate([away[one], back[two]])
-    scale = max(float(np.quantile(distance, _TRIM)), _EXACT)
     return (
         np.concatenate([source.sample[one], here[two]]),
         np.concatenate([there[one], target.sample[two]]),
-        1 / (1 + (distance / scale) ** 4),
+        _trimmed(distance),
         distance,
     )
+
+
+def _trimmed(distance: FloatArray) -> FloatArray:
+    """Weights of correspondences by their distances, (l,)."""
+    scale = max(float(np.quantile(distance, _TRIM)), _EXACT)
+    return np.asarray(1 / (1 + (distance / scale) ** 4))
 
 
 def _fit(

@@ -309,7 +309,7 @@ def match_features(
         expected = accuracy(choice.evidence)
         costs, contradicted = choice.costs, tuple(used[choice.contradicted].tolist())
         maps = _full_maps(source, target, choice.candidate, refine=refine, device=model.device)
-        if refine and choice.copies is not None:
+        if refine and (choice.copies is not None or choice.candidate.is_extrinsic):
             maps = _tightened(source, target, choice, maps, device=model.device)
     else:
         maps = _nearest_maps(source, target, refine=refine, device=model.device)
@@ -469,12 +469,12 @@ def _tightened(
     """The best of a candidate, its refined maps, and these registered and refined by positions.
 
     Between shapes of different build eigenfunctions and embeddings agree only so far: the refined
-    maps of a candidate can be worse than the candidate.
+    maps of a candidate can be worse than the candidate. Nothing is registered where the choice has
+    no copies.
     """
-    assert choice.copies is not None
     start = candidate_of(*choice.shapes, refined.index, refined.back)
     ways = [(cost(choice.judged(start)), refined)]
-    again = registered(*choice.copies, start)
+    again = None if choice.copies is None else registered(*choice.copies, start)
     if again is not None:
         found = _refined_maps(source, target, again.forward, again.backward, again.forward)
         start = candidate_of(*choice.shapes, found.index, found.back)
