@@ -22,9 +22,9 @@ check: .venv/dev
 docs: .venv/dev
 	$(BIN)/mkdocs build --strict
 
-# the tables of the docs, beside other packages; a quarter of an hour on two idle cores
+# the tables of the docs, beside other packages; twenty minutes on two idle cores
 bench: .venv/dev
-	for question in 'eigensolver --rounds 2' 'descriptors --rounds 2' refinement match growth; do \
+	for question in 'eigensolver --rounds 2' 'descriptors --rounds 2' refinement 'match --rounds 1' growth; do \
 	  set -- $$question; echo "$$1:"; $(BIN)/python benchmarks/$$1.py $$2 $$3 $(if $(PEERS),--peers $(PEERS)) || exit 1; \
 	done
 
