@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
 
-from esd.matching.anchors import agreement, anchors, nearness
+from esd.matching.anchors import agreement, agreement_with_most, anchors, nearness
 
 
 def plane(count: int, seed: int) -> np.ndarray:
@@ -53,6 +53,31 @@ def test_points_of_a_limb_that_is_mapped_elsewhere_do_not_agree():
     kept = agreement(cdist(points[places], points), cdist(image[places], image), places)
     assert kept[~limb].min() > kept[limb].max()
     assert kept.max() == 1
+
+
+def test_what_is_mapped_elsewhere_does_not_support_itself_and_lengths_may_differ():
+    points = plane(200, 5)
+    image = 1.1 * points
+    limb = points[:, 0] > 0.6
+    image[limb, 1] += 0.6
+    places = np.arange(0, 200, 4)
+    ways = cdist(points[places], points), cdist(image[places], image)
+    kept = agreement_with_most(*ways, places, np.ones(50, dtype=bool))
+    assert kept[~limb].min() > 0.9
+    assert kept[limb].max() < 0.8
+
+
+def test_distances_on_a_part_may_be_longer():
+    points = plane(200, 7)
+    places = np.arange(0, 200, 4)
+    ways = cdist(points[places], points)
+    around = ways + 0.1 * (points[places, None, 0] > 0.5) * (points[:, 0] < 0.5)
+    everywhere = np.ones(50, dtype=bool)
+    kept, slack = (
+        agreement_with_most(ways, around, places, everywhere, slack=(1.0, factor))
+        for factor in (1.0, 3.0)
+    )
+    assert slack.min() > kept.min()
 
 
 def test_rows_are_of_unit_length_and_lead_to_the_same_place():

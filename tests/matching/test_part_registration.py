@@ -39,6 +39,18 @@ def test_the_whole_is_deformed_onto_its_part_and_what_is_missing_does_not_lie_on
     assert best.scale == pytest.approx(1, abs=0.02)
 
 
+def test_what_the_other_lacks_is_told_from_what_it_has():
+    mesh = next(s for s in bodies(vertex_count=2500).shapes if s.name == "s10_p01").mesh()
+    cut = part_of(mesh, "cut of 35 %", seed=2)
+    area, model = surface_area(mesh), load_model("partial")
+    found = part_map(part(mesh, area, model=model), part(cut.mesh, area, model=model))
+    has_counterpart, right = best_registered([found]).probabilities()
+    is_shared = cut.vertex_index >= 0
+    kept = has_counterpart > 0.5
+    assert (kept & is_shared).sum() > 0.93 * (kept | is_shared).sum()
+    assert right[kept & is_shared].mean() > 0.9
+
+
 def test_a_map_that_is_turned_is_replaced_by_another(found):
     turned = other_part_maps(found, count=1)[0]
     assert off(turned) > 0.2

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from esd.common import FloatArray, IntArray
+from esd.common import BoolArray, FloatArray, IntArray
 from esd.mesh.geometry import unit
 
 _CANDIDATES = 5  # targets of each source sample
@@ -22,6 +22,11 @@ _POWER_STEPS = 20
 _MEASURED = 0.1, 0.6  # distances of which it is measured how much longer they become
 _ROUNDING = 0.01
 _NEAR = 0.05  # distances to a point below this count as about the same
+_SHARED, _SLOPE = 0.75, 0.05  # of the agreement of the best, at which a sample counts half
+_BEST = 0.8  # quantile of samples whose agreement is that of the best
+_TURNS, _SCALED = 8, 3  # of weighting samples, and those in which the lengths are compared
+_LEAST = 1e-9
+_FEWEST = 8  # samples by which they are
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,6 +145,53 @@ def agreement(source_ways: FloatArray, image_ways: FloatArray, places: IntArray)
         support /= max(float(support.max()), least)
     result = support @ agree / np.maximum(weight.sum(axis=0), least)
     return np.asarray(result / max(float(result.max()), least))
+
+
+def agreement_with_most(
+    source_ways: FloatArray,
+    image_ways: FloatArray,
+    places: IntArray,
+    lying: BoolArray,
+    *,
+    slack: tuple[float, float] = (1.0, 1.0),
+) -> FloatArray:
+    """As `agreement`, with those samples alone that agree with each other, (n,), about 0 to 1.
+
+    What is mapped to a wrong limb agrees with itself; here it is measured by the rest. A sample
+    counts as far as it agrees with the others that count, and 1 is the agreement of the best of
+    these. Lengths may differ by a factor, which is measured.
+
+    Parameters
+    ----------
+    source_ways, image_ways, places
+        As those of `agreement`.
+    lying : (k,)
+        Which samples may count.
+    slack
+        How many times as much distances may be too long on the source, and on the target: ways
+        lead around what is missing.
+    """
+    support, scale = lying.astype(float), 1.0
+    own = source_ways[:, places], image_ways[:, places]
+    compared = (own[0] > _MEASURED[0]) & (own[0] < _MEASURED[1])
+    longer = np.log((own[1] + _ROUNDING) / (own[0] + _ROUNDING))
+    for turn in range(_TURNS):
+        if turn < _SCALED:
+            used = support > 0.5 if np.count_nonzero(support > 0.5) >= _FEWEST else lying
+            counted = compared & used & used[:, None]
+            scale = np.exp(np.median(longer[counted])) if counted.any() else 1.0
+            ways = np.float32(scale) * source_ways
+            deviation = (ways - image_ways) / (_ABSOLUTE + _RELATIVE * np.minimum(ways, image_ways))
+            weight = _weight(np.minimum(ways, image_ways))
+            agree = weight / (1 + np.where(deviation > 0, *(deviation / s for s in slack)) ** 2)
+            among, total = agree[:, places].copy(), weight[:, places].copy()
+            np.fill_diagonal(among, 0.0)
+            np.fill_diagonal(total, 0.0)
+        mean = (support @ among) / np.maximum(support @ total, _LEAST)
+        best = np.quantile(mean[support > 0.2], _BEST) if (support > 0.2).any() else 1.0
+        best = max(float(best), _LEAST)
+        support = lying / (1 + np.exp(-(mean / best - _SHARED) / _SLOPE))
+    return np.asarray((support @ agree) / np.maximum(support @ weight, _LEAST) / best)
 
 
 def _candidates(similarity: FloatArray, target_ways: FloatArray) -> IntArray:

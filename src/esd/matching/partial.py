@@ -13,7 +13,7 @@ from scipy.spatial import KDTree
 from esd.common import FloatArray, IntArray
 from esd.descriptors.recipe import recipe_spectrum, spectrum_descriptors
 from esd.learning.model import Model
-from esd.matching.anchors import Anchors, agreement, anchors, nearness
+from esd.matching.anchors import Anchors, agreement, agreement_with_most, anchors, nearness
 from esd.matching.candidates import Rows
 from esd.matching.landmarks import landmark_rows
 from esd.mesh.geodesics import geodesic_graph
@@ -25,6 +25,7 @@ from esd.mesh.geometry import (
     face_normals,
     is_referenced,
     surface_area,
+    unit,
     vertex_normals,
 )
 from esd.mesh.mesh import Mesh
@@ -62,6 +63,7 @@ _NEAR = 0.04  # in √area of the whole, within which a way there and back retur
 _STRETCH = 2.5  # times their length, beyond which the image of an edge is torn
 
 _RINGS = 8  # of edges around a vertex, over which what speaks for a counterpart is averaged
+_FEWER_RINGS = 4  # the same where one shape was deformed
 _LOST = 0.5  # in √area of the whole, at which ways there and back are cut off
 _INSIDE = 0.3  # the same of distances to a boundary
 _OFFSETS = np.array([0.01, 0.05, 0.01, 0.01])  # of the logarithms
@@ -70,15 +72,19 @@ _COUNTERPART = (-2.59, -0.24, -1.35, 0.0, 0.19, -0.5, 4.07)
 _RIGHT = (0.11, 0.0, -1.15, 0.0, 0.0, -0.26, 1.86)
 _OF_CLOSED = 2.84  # for having a counterpart, where the target is closed
 _OF_SHARE = 2.91  # weight of the logarithm of the consistent share, for being matched rightly
-# the same where one shape was deformed: of the gap, and of some of `_evidence`
-_GAP = 0.3  # in √area of the whole, at which gaps are cut off
-_OF_COUNTERPART, _OF_RIGHT = [0, 1, 3], [5]
-_COUNTERPART_LYING = (-3.72, -0.67, -0.79, -1.17, 0.55)
-_RIGHT_LYING = (-6.39, -1.36, 1.52)
-_OF_CLOSED_LYING = 1.6
-_OF_MARGIN = 13.48
+_GAP = 0.3  # in √area of the whole, at which heights are cut off
+_LYING = 0.03  # gap below which a sample lies on the other shape
+_BEYOND_RIM = 0.1  # in √area of the whole, at which distances beyond a rim are cut off
+_SLACK = 2.0  # how many times as much too long distances may be on a part, beside a whole
+# where one shape was deformed: constant and weights, the last where the target is closed, for lying
+# on the other shape and for keeping distances; then, of other columns, for being matched rightly
+_LIES = (-11.00, -2.53, -5.99, -1.77, 3.56)
+_AGREES = (-13.06, 23.30, 7.62)
+_RIGHT_LYING = (-3.61, -0.69, 2.32, -3.52, 3.11)
 _CLEAR, _ALONE = 0.25, 0.2  # margin beyond which it says no more, and that where there is no other
 _UNCLEAR = 0.1  # below which another map may as well be right, and nothing here
+_UNLIKE, _ALIKE = 0.8, 0.2  # `apart` from which the embeddings say nothing against that, and what
+_AT_MOST = 0.75  # they say, at most, the more the less it is
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -234,35 +240,28 @@ class PartMap:
 
         Rightly: within 5 % of the whole's diameter of the truth. By logistic regressions, fitted
         to parts of people that the model was not trained on; those of a map along which a shape was
-        deformed, to 19 pairs.
+        deformed, to 43 pairs. There, what has a counterpart both lies on the other shape, not
+        beyond its rim, and keeps its distances.
         """
+        is_closed = float(len(boundary_edges(self.target.mesh)) == 0)
         evidence = _evidence(self)
-        is_closed = len(boundary_edges(self.target.mesh)) == 0
-        columns: tuple[FloatArray, FloatArray] = evidence, evidence
-        weights: tuple[tuple[float, ...], tuple[float, ...]] = _COUNTERPART, _RIGHT
-        is_this = 1.0  # probability that no other map is the right one
         if self.fit is None:
-            offsets = _OF_CLOSED * is_closed, _OF_SHARE * np.log(self.consistent + 0.1)
+            evidence = np.hstack([evidence, _averaged(self.source.mesh, _kept_distances(self))])
+            has = _logistic(evidence, _COUNTERPART, _OF_CLOSED * is_closed)
+            right = _logistic(evidence, _RIGHT, _OF_SHARE * np.log(self.consistent + 0.1))
         else:
-            gap = np.log(np.minimum(self.fit.gap[0], _GAP) + _OFFSETS[0])
-            gap = np.nan_to_num(_averaged(self.source.mesh, gap[:, None]))
-            columns = (
-                np.hstack([gap, evidence[:, _OF_COUNTERPART]]),
-                np.hstack([gap, evidence[:, _OF_RIGHT]]),
-            )
+            lying, agreement = _lying(self, self.fit)
+            closed = np.full((len(lying), 1), is_closed)
+            lies = _logistic(np.hstack([lying, evidence[:, 1:2], closed]), _LIES)
+            has = lies * _logistic(np.hstack([agreement, closed]), _AGREES)
             margin = _ALONE if self.fit.margin is None else max(self.fit.margin, 0.0)
-            of_map = _OF_MARGIN * min(margin, _CLEAR)
-            is_this = min(margin / _UNCLEAR, 1.0)
-            offsets = _OF_CLOSED_LYING * is_closed, of_map
-            weights = _COUNTERPART_LYING, _RIGHT_LYING
-        logits = [
-            constant + offset + values @ np.array(factors)
-            for values, offset, (constant, *factors) in zip(columns, offsets, weights, strict=True)
-        ]
-        has, right = (
-            np.where(self.forward >= 0, 1 / (1 + np.exp(-logit)), 0.0) for logit in logits
-        )
-        return has, is_this * right
+            clear = np.full((len(lying), 1), min(margin, _CLEAR))
+            columns = np.hstack([lying[:, :1], agreement, evidence[:, 1:2], clear])
+            # times the probability that no other map is the right one
+            alike = min((_UNLIKE - self.fit.apart) / _ALIKE, _AT_MOST)
+            right = max(min(margin / _UNCLEAR, 1.0), alike) * _logistic(columns, _RIGHT_LYING)
+        matched = self.forward >= 0
+        return np.where(matched, has, 0.0), np.where(matched, right, 0.0)
 
 
 def part_map(source: Part, target: Part, *, landmarks: IntArray | None = None) -> PartMap:
@@ -454,11 +453,11 @@ def _missed_by(each: Part, index: IntArray, back: IntArray) -> FloatArray:
 
 
 def _evidence(found: PartMap) -> FloatArray:
-    """What speaks for a counterpart of each source vertex, (n, 6), averaged around it.
+    """What speaks for a counterpart of each source vertex, (n, 5), averaged around it.
 
     Logarithms of: by how far going there and back misses; the distance of the matched embeddings;
     by how far going back and there misses the match; its distance to the target's boundary; and
-    how much longer edges become. At last the `agreement` of its distances.
+    how much longer edges become.
     """
     source, target, index = found.source, found.target, found.forward
     rim = np.unique(boundary_edges(target.mesh))
@@ -483,25 +482,81 @@ def _evidence(found: PartMap) -> FloatArray:
         for end in pairs.T:
             lengths[:, column] += np.bincount(end, length, minlength=len(index))
     logarithms = np.nan_to_num(np.log(values + _OFFSETS))
-    kept = _kept_distances(found)[:, None]
-    mean = _averaged(source.mesh, np.hstack([logarithms, lengths, kept]))
+    mean = _averaged(source.mesh, np.hstack([logarithms, lengths]))
     longer = np.log((mean[:, 5] + 1e-3) / (mean[:, 4] + 1e-3))
-    return np.column_stack([mean[:, :4], longer, mean[:, 6]])
+    return np.column_stack([mean[:, :4], longer])
+
+
+def _lying(found: PartMap, fit: PartFit) -> tuple[FloatArray, FloatArray]:
+    """Where each source vertex lies, (n, 2), and how far it keeps its distances, (n, 1).
+
+    The logarithm of its height over the target, and by how far it is beyond the target's rim; see
+    `esd.matching.anchors.agreement_with_most`. All averaged around it.
+    """
+    height, beyond = _over_target(found)
+    is_open = [len(boundary_edges(each.mesh)) > 0 for each in (found.source, found.target)]
+    slack = [_SLACK if each and not all(is_open) else 1.0 for each in is_open]
+    places, ways, image = _compared_ways(found)
+    agreement = agreement_with_most(
+        ways, image, places, fit.gap[0][places] < _LYING, slack=(slack[0], slack[1])
+    )
+    height = np.log(np.minimum(height, _GAP) + _OFFSETS[0])
+    beyond = np.clip(beyond / _BEYOND_RIM, -1, 1)
+    values = np.nan_to_num(np.stack([height, beyond, agreement], axis=1))
+    mean = _averaged(found.source.mesh, values, _FEWER_RINGS)
+    return mean[:, :2], mean[:, 2:]
+
+
+def _over_target(found: PartMap) -> tuple[FloatArray, FloatArray]:
+    """How high over the target each source vertex lies, (n,), and how far beyond its rim, (n,).
+
+    Heights are along the normal of the nearest vertex. Where that is on the rim, what is beyond is
+    so along the target, at right angles to the rim; elsewhere it is negative, the distance of the
+    nearest vertex from the rim.
+    """
+    index, sides = found.forward, boundary_edges(found.target.mesh)
+    there, normals = np.hsplit(np.nan_to_num(found.rows[1]), 2)
+    apart = found.rows[0][:, :3] - there[index]
+    height = np.abs((apart * unit(normals)[index]).sum(axis=1))
+    if len(sides) == 0:
+        return height, np.full(len(index), -_BEYOND_RIM)
+    length = there[sides[:, 1]] - there[sides[:, 0]]
+    outward = np.zeros_like(there)
+    for end in sides.T:
+        np.add.at(outward, end, np.cross(length, normals[end]))
+    near = adjacency(sides, len(there)) + sparse.eye_array(len(there), format="csr")
+    outward = unit(near @ (near @ outward))
+    points = found.target.points
+    inside = KDTree(points[np.unique(sides)]).query(points)[0][index]
+    return height, np.where(inside == 0, (apart * outward[index]).sum(axis=1), -inside)
+
+
+def _logistic(
+    values: FloatArray, weights: tuple[float, ...], offset: float | FloatArray = 0.0
+) -> FloatArray:
+    constant, *factors = weights
+    return np.asarray(1 / (1 + np.exp(-(constant + offset + values @ np.array(factors)))))
 
 
 def _kept_distances(found: PartMap) -> FloatArray:
-    """The agreement of distances on both shapes, of each source vertex, (n,)."""
+    """The agreement of distances on both shapes, of each source vertex, (n, 1)."""
+    places, ways, image = _compared_ways(found)
+    return agreement(ways, image, places)[:, None]
+
+
+def _compared_ways(found: PartMap) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Some source vertices, the distances of all from these, and those of their images, (k, n)."""
     source, target, index = found.source, found.target, found.forward
     places = source.sample[:_ANCHORS]
-    unit = np.sqrt(target.spectrum.area / surface_area(target.mesh))
-    image = np.minimum(unit * geodesic_graph(target.mesh).distances(index[places]), _BEYOND)
-    return agreement(source.ways[: len(places)], image[:, index], places)
+    size = np.sqrt(target.spectrum.area / surface_area(target.mesh))
+    image = np.minimum(size * geodesic_graph(target.mesh).distances(index[places]), _BEYOND)
+    return places, source.ways[: len(places)], image[:, index]
 
 
-def _averaged(mesh: Mesh, values: FloatArray) -> FloatArray:
+def _averaged(mesh: Mesh, values: FloatArray, rings: int = _RINGS) -> FloatArray:
     """Values (n, c) averaged over neighbours, again and again."""
     near = adjacency(edges(mesh), len(values)) + sparse.eye_array(len(values), format="csr")
     count = near.sum(axis=1)[:, None]
-    for _ in range(_RINGS):
+    for _ in range(rings):
         values = (near @ values) / count
     return values
