@@ -159,7 +159,6 @@ def test_what_cannot_be_trained_is_refused_before_anything_is_described(two, tmp
     for wrong in (
         replace(TRAINING, blocks=0),
         replace(TRAINING, hidden=(10,)),
-        replace(TRAINING, recipe=single_recipe("hks")),
     ):
         with pytest.raises(InputError, match="takes presets with `blocks`"):
             train_on_parts(nothing, wrong)
@@ -171,13 +170,35 @@ def test_what_cannot_be_trained_is_refused_before_anything_is_described(two, tmp
         two, replace(single_recipe("gps"), eigenpairs=30), tmp_path / "s.h5", workers=Workers(1)
     )
     store = open_collection(tmp_path / "s.h5")
-    with pytest.raises(InputError, match=r"s\.h5' is a store, .* none of their parts"):
+    with pytest.raises(InputError, match=r"s\.h5' is a store, .* neither surfaces nor parts"):
         train_on_parts(store, TRAINING)
     with pytest.raises(InputError, match="is a store"):
         train_on_parts(nothing, TRAINING, validation=store)
     (tmp_path / "m.parts").write_text("in the way")
     with pytest.raises(InputError, match=r"m\.parts' cannot be written to"):
         train_on_parts(nothing, TRAINING, checkpoint=tmp_path / "m")
+
+
+def test_models_of_whole_surfaces_learn_from_whole_shapes_and_their_copies(two, collection):
+    training = replace(
+        PRESETS["surface"],
+        recipe=replace(PRESETS["surface"].recipe, eigenpairs=40),
+        hidden=(24, 12),
+        outputs=8,
+        batch=100,
+        remeshings=1,
+        validate_every=10,
+    )
+    models = [fit(two, replace(training, steps=steps)) for steps in (1, 60)]
+    assert models[1].card["parts"] == 4  # two shapes, and a copy of each
+    assert models[1].card["data"] == "copies"
+    source, target = (shape.mesh() for shape in (collection.shapes[0], collection.shapes[2]))
+    errors = []
+    for model in models:
+        index = (model.embed_mesh(source) @ model.embed_mesh(target).T).argmax(axis=1)
+        away = target.vertices[index] - target.vertices  # the same triangles
+        errors.append(np.linalg.norm(away, axis=1).mean())
+    assert errors[1] < 0.75 * errors[0]
 
 
 def test_shapes_that_cannot_be_cut_or_have_nothing_in_common_are_refused(two, blob):
@@ -199,4 +220,4 @@ def test_the_command_trains_on_shapes_with_correspondences_alone(run, shapes, tm
     assert model.diffusion.block_count == 4
     assert {file.name for file in tmp_path.iterdir()} == {"model", "set"}
     done = run("precompute", shapes, "-o", tmp_path / "s.h5", "--preset", "partial", expect=1)
-    assert "learns from parts of shapes, which a store does not hold" in done.stderr
+    assert "learns from surfaces, which a store does not hold" in done.stderr

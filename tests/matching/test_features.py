@@ -1,7 +1,10 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from esd.common import InputError
+from esd.learning.diffusion import diffusion_network
 from esd.learning.model import load_model, raw_model
 from esd.matching.features import reflected, shape_features
 from esd.mesh.geometry import surface_area
@@ -34,10 +37,28 @@ def test_a_copy_is_mirrored_with_its_shape(blob):
     np.testing.assert_allclose(where, blob.vertices * [-1, 1, 1], atol=1e-9)
 
 
-def test_points_and_convolutions_have_no_mirror_image(blob):
+def test_models_of_surfaces_embed_the_mirror_image_as_a_mirrored_file(blob):
+    torch_layers = pytest.importorskip(
+        "esd.learning.diffusion_torch", reason="training needs the extra `train`"
+    )
+    layers = torch_layers.seeded_layers(MODEL.recipe.width, 16, 8, 6, 2, seed=0)
+    network = diffusion_network(layers.arrays(), inputs=MODEL.recipe.width)
+    model = replace(MODEL, layers=(), diffusion=network)
+    features = shape_features(repair(blob), model=model)
+    found = reflected(features, model=model)
+    mirrored = Mesh(blob.vertices * [-1, 1, 1], blob.faces[:, ::-1])
+    surface = model.operator(mirrored, features.spectrum)
+    np.testing.assert_array_equal(found.embedded, model.embed(found.values, surface))
+    assert not np.allclose(found.embedded, features.embedded, atol=0.1)
+
+
+def test_points_and_parts_have_no_mirror_image(blob):
     points = shape_features(repair(PointCloud(blob.vertices)), model=raw_model("hks"))
     with pytest.raises(InputError, match="Only meshes are mirrored"):
         reflected(points, model=raw_model("hks"))
+    features = shape_features(repair(blob), model=MODEL)
+    with pytest.raises(InputError, match="not by models with convolutions or parts"):
+        reflected(features, model=load_model("partial"))
 
 
 @pytest.mark.usefixtures("subdivided")

@@ -72,7 +72,7 @@ def precompute(
     training = named_preset(preset) if preset else None
     if training and training.blocks:
         raise InputError(
-            f"The preset '{preset}' learns from parts of shapes, which a store does not hold: give "
+            f"The preset '{preset}' learns from surfaces, which a store does not hold: give "
             "the data set itself to `esd train`."
         )
     recipe = training.recipe if training else load_model(model or "default").recipe

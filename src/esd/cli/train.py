@@ -58,7 +58,8 @@ def train(
         str | None,
         typer.Option(
             metavar="MODEL",
-            help="Model to start from; without correspondences, or of the preset 'partial'. "
+            help="Model to start from; without correspondences, or of the preset 'surface' or "
+            "'partial'. "
             "Without correspondences, by default, the default model where it maps the shapes "
             "better than descriptors do; 'none' for none.",
         ),
@@ -109,7 +110,8 @@ def train(
         )
     elif start is not None and not training.blocks:
         raise typer.BadParameter(
-            "--start is for shapes without correspondences, and for the preset 'partial'."
+            "--start is for shapes without correspondences, and for the presets 'surface' and "
+            "'partial'."
         )
     else:
         model = _supervised(chosen, held, training, output, seed=seed, start=start, device=device)

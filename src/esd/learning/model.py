@@ -91,7 +91,7 @@ class Model:
     patches
         Of the surface, over which convolutions go; None where no layer is one.
     diffusion
-        The network in place of layers, of models of parts; None for others.
+        The network in place of layers, of models that see the surface; None for others.
     card
         What it was trained on, how, and how it did: plain data.
     device
@@ -125,6 +125,11 @@ class Model:
     def is_pointwise(self) -> bool:
         """Whether the embedding of a point depends on no other point's descriptors."""
         return self.patches is None and self.diffusion is None
+
+    @property
+    def mirrors(self) -> bool:
+        """Whether the descriptors of a mirror image follow from a shape's, see `reflected`."""
+        return self.patches is None and not self.recipe.is_of_parts
 
     def operator(
         self, shape: Mesh | PointCloud, spectrum: Spectrum, *, cache: Cache | None = None

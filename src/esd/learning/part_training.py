@@ -1,4 +1,4 @@
-"""Training of a network that diffuses features, on shapes whole and cut."""
+"""Training of a network that diffuses features, on whole shapes or on shapes whole and cut."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from scipy import sparse
 from esd.common import FloatArray, InputError, IntArray, whole_file
 from esd.datasets.collection import Collection, Shape, repaired_shape
 from esd.datasets.parts import PARTS, part_of
+from esd.datasets.remeshing import with_remeshings
 from esd.descriptors.recipe import Recipe, recipe_spectrum, spectrum_descriptors
 from esd.learning.device import usable_device
 from esd.learning.diffusion import diffusion_network, surface_of
@@ -48,7 +49,7 @@ _VERSION = 1  # part of the keys of described parts; raised when they may change
 
 _SPREAD = 0.05  # of the logarithm of a part's area, whose whole a user may know only roughly
 _FEWEST_VERTICES = 0.1  # of the whole's, below which a part is left out
-_PAIRS = 2  # of parts in a step
+_PAIRS, _WHOLE_PAIRS = 2, 1  # in a step: of parts, and where all shapes are whole
 _COMMON, _COMMON_SHARE = 300, 0.1  # points, and share of the template's, that a pair must share
 _TRIES = 1000  # pairs drawn until one has so many
 _NEAR = 0.03  # distance, in √area, below which points are no negatives of each other
@@ -112,13 +113,14 @@ def train_on_parts(
     on_shape: Callable[[], None] = lambda: None,
     on_progress: Callable[[Progress], None] = lambda _: None,
 ) -> Model:
-    """The embedding learned from the shapes of a collection and parts of them.
+    """The embedding learned from the shapes of a collection, and parts of them if it is of parts.
 
-    Each shape is taken whole and cut in each way of `esd.datasets.parts.PARTS`. A step draws two
-    pairs of these, of any shapes of one template, and lowers the InfoNCE of points that both of a
-    pair have, where points near each other are no negatives. On one processor equal arguments and
-    equal numbers of threads give equal weights, also when the training was interrupted and resumed
-    from its checkpoint.
+    Each shape is taken whole, and so are its `training.remeshings`; with descriptors of parts, each
+    is also cut in each way of `esd.datasets.parts.PARTS`. A step draws pairs of these, two of parts
+    or one of whole shapes, of any shapes of one template, and lowers the InfoNCE of points that
+    both of a pair have, where points near each other are no negatives. On one processor equal
+    arguments and equal numbers of threads give equal weights, also when the training was
+    interrupted and resumed from its checkpoint.
 
     The parts are described once, and lie in files, about 10 MB for one of 5,000 vertices, from
     which each step reads its own: beside the checkpoint in `CHECKPOINT.parts`, from which a
@@ -155,16 +157,16 @@ def train_on_parts(
         cannot be described, no two parts have enough points in common, the checkpoint belongs to
         another training, or torch has no such device.
     """
-    if not training.blocks or len(training.hidden) != 2 or not training.recipe.is_of_parts:
+    if not training.blocks or len(training.hidden) != 2:
         raise InputError(
-            "Training on parts takes presets with `blocks`, two layers in `hidden` and the "
-            "descriptors of parts, such as 'partial'."
+            "Training on surfaces takes presets with `blocks` and two layers in `hidden`, such as "
+            "'surface' and 'partial'."
         )
     stores = [each.store for each in (collection, validation) if each is not None and each.store]
     if stores:
         raise InputError(
-            f"'{stores[0]}' is a store, which holds descriptors of whole shapes and none of their "
-            "parts: train on the data set that it was made of."
+            f"'{stores[0]}' is a store, which holds descriptors and neither surfaces nor parts of "
+            "them: train on the data set that it was made of."
         )
     if not 0 <= seed <= _LARGEST_SEED:
         raise InputError(f"`seed` must be from 0 to {_LARGEST_SEED}; got {seed}.")
@@ -182,7 +184,7 @@ def train_on_parts(
             workers=workers,
             on_shape=on_shape,
         )
-        data = described(collection)
+        data = described(with_remeshings(collection, training.remeshings, seed=seed))
         if start is not None:
             data = replace(data, mean=start.mean, deviation=start.deviation)
         elif not training.standardise:
@@ -304,7 +306,7 @@ def _describe(
     generator = np.random.default_rng((seed, place))
     area = surface_area(mesh)
     done: dict[str, list[Any]] = {key: [] for key in _SUMMARY}
-    for number, kind in enumerate(["whole", *PARTS]):
+    for number, kind in enumerate(["whole", *(PARTS if recipe.is_of_parts else ())]):
         cut, spread = int(generator.integers(2**30)), generator.standard_normal()
         if kind == "whole":
             own, arrays = index, _arrays(mesh, recipe, 1.0)
@@ -422,7 +424,8 @@ def _advance(run: Run[DiffusionLayers], data: _Parts, training: Training, seed: 
     """One step; its loss."""
     device = run.network.out.weight.device
     dropout = torch.Generator(device).manual_seed(_LARGEST_SEED * run.step + seed)
-    pairs = [_draw(data.parts, training, seed, _PAIRS * run.step + i) for i in range(_PAIRS)]
+    count = _PAIRS if training.recipe.is_of_parts else _WHOLE_PAIRS
+    pairs = [_draw(data.parts, training, seed, count * run.step + i) for i in range(count)]
     losses = [_loss(run.network, data, pair, training, dropout) for pair in pairs]
     loss = torch.stack(losses).mean()
     fall = (1 + math.cos(math.pi * run.step / training.steps)) / 2
@@ -535,7 +538,7 @@ def _card(
     settings = asdict(training)
     del settings["recipe"]  # the model has it
     return {
-        "data": f"{collection.name}, whole and cut",
+        "data": collection.name + ", whole and cut" * training.recipe.is_of_parts,
         "shapes": [shape.name for shape in collection.shapes],
         "parts": parts,
         "validation_shapes": [shape.name for shape in validation.shapes] if validation else [],

@@ -63,8 +63,8 @@ class Training:
     patches, convolutions
         Which layers, from 0, are convolutions, and over which patches.
     blocks
-        Of a network that diffuses features, trained on shapes whole and cut, see
-        `esd.learning.part_training`; none for layers.
+        Of a network that diffuses features over the surface, see `esd.learning.part_training`;
+        none for layers.
     validate_every
         Steps between two validations, and between two checkpoints.
     """
@@ -125,6 +125,20 @@ PRESETS = {
         remeshings=2,
         points=2500,
     ),
+    "surface": Training(
+        _oriented_recipe(),
+        hidden=(256, 64),
+        outputs=32,
+        limit=8.0,
+        loss="infonce",
+        batch=1024,
+        learning_rate=2e-3,
+        schedule="cosine",
+        steps=500,
+        remeshings=2,
+        blocks=3,
+        validate_every=100,
+    ),
     "partial": Training(
         part_recipe(),
         hidden=(256, 128),
@@ -166,8 +180,9 @@ PRESETS = {
         validate_every=100,
     ),
 }
-"""`oriented`, which tells left from right; `partial`, which does on parts of shapes as well; the
-networks of the paper (sections 3.4 and 3.5); and what it compares them with, of HKS as there:
+"""`oriented`, which tells left from right; `surface`, which takes the same descriptors and sees
+those of the surface around each point as well; `partial`, which does on parts of shapes as well;
+the networks of the paper (sections 3.4 and 3.5); and what it compares them with, of HKS as there:
 optimal spectral descriptors, also of the geometry vector, as their authors have them, and
 convolutional networks.
 

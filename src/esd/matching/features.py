@@ -92,10 +92,10 @@ def reflected(features: Features, *, model: Model) -> Features:
     ------
     InputError
         If there are no faces, whose orientation a mirror image is of, or the model is
-        convolutional.
+        convolutional or of parts.
     """
-    if isinstance(features.shape, PointCloud) or not model.is_pointwise:
-        raise InputError("Only meshes are mirrored, and not with convolutional models.")
+    if isinstance(features.shape, PointCloud) or not model.mirrors:
+        raise InputError("Only meshes are mirrored, and not by models with convolutions or parts.")
     widths = [part.count for part in model.recipe.descriptors]
     is_odd = np.repeat([part.kind == "chirality" for part in model.recipe.descriptors], widths)
     values = np.where(is_odd, -features.values, features.values)
@@ -115,7 +115,7 @@ def reflected(features: Features, *, model: Model) -> Features:
         shape=mesh,
         positions=features.positions * [-1.0, 1.0, 1.0],
         values=values,
-        embedded=model.embed(values),
+        embedded=model.embed(values, model.operator(mesh, features.spectrum)),
         copy=copy,
     )
 

@@ -414,7 +414,7 @@ def _mirror_chosen(
     """
     if plain is not None:
         sure = accuracy(plain.evidence) >= _SURE
-        if mirror == "no" or sure or not model.is_pointwise:
+        if mirror == "no" or sure or not model.mirrors:
             return plain, None
     image = reflected(source, model=model)
     other = chosen(image, target, names=names, landmarks=landmarks)
