@@ -123,6 +123,23 @@ def test_landmarks_help_a_map_between_parts():
     assert np.median(spacing) < 0.05 * np.sqrt(surface_area(whole))
 
 
+def test_a_model_of_whole_surfaces_is_not_taken_for_one_of_parts(monkeypatch):
+    class DescribedError(Exception):
+        pass
+
+    def described(*_, model, **__):
+        raise DescribedError(model)
+
+    of_parts = load_model("partial")
+    of_surfaces = replace(of_parts, recipe=load_model("default").recipe)
+    monkeypatch.setattr("esd.matching.parts.part", described)
+    opened = features(cut().mesh)
+    for model in (of_parts, of_surfaces):
+        with pytest.raises(DescribedError) as raised:
+            best_part_map(opened, opened, model=model)
+        assert raised.value.args[0].recipe.is_of_parts
+
+
 def test_closed_meshes_pinholes_and_several_pieces_are_no_parts():
     sphere = icosphere(4)
     assert open_mesh(features(sphere)) is None

@@ -91,7 +91,7 @@ def best_part_map(
     for mesh, each in zip(opened, (source, target), strict=True):
         assert isinstance(each.shape, Mesh)  # points are never matched as parts
         meshes.append(each.shape if mesh is None else mesh)
-    model = model if model.diffusion is not None else _bundled()
+    model = model if model.recipe.is_of_parts else _bundled()
     areas = [surface_area(mesh) for mesh in meshes]
     known: tuple[dict[float, Part], ...] = ({}, {})  # by the area of its whole
     seen: list[PartMap] = []
