@@ -154,8 +154,10 @@ def agreement_with_most(
     lying: BoolArray,
     *,
     slack: tuple[float, float] = (1.0, 1.0),
-) -> FloatArray:
+) -> tuple[FloatArray, float]:
     """As `agreement`, with those samples alone that agree with each other, (n,), about 0 to 1.
+
+    And the share of the samples that may count which does.
 
     What is mapped to a wrong limb agrees with itself; here it is measured by the rest. A sample
     counts as far as it agrees with the others that count, and 1 is the agreement of the best of
@@ -191,7 +193,8 @@ def agreement_with_most(
         best = np.quantile(mean[support > 0.2], _BEST) if (support > 0.2).any() else 1.0
         best = max(float(best), _LEAST)
         support = lying / (1 + np.exp(-(mean / best - _SHARED) / _SLOPE))
-    return np.asarray((support @ agree) / np.maximum(support @ weight, _LEAST) / best)
+    kept = (support @ agree) / np.maximum(support @ weight, _LEAST) / best
+    return np.asarray(kept), float(support.sum() / max(lying.sum(), 1))
 
 
 def _candidates(similarity: FloatArray, target_ways: FloatArray) -> IntArray:

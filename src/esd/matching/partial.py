@@ -83,8 +83,8 @@ _AGREES = (-13.06, 23.30, 7.62)
 _RIGHT_LYING = (-3.61, -0.69, 2.32, -3.52, 3.11)
 _CLEAR, _ALONE = 0.25, 0.2  # margin beyond which it says no more, and that where there is no other
 _UNCLEAR = 0.1  # below which another map may as well be right, and nothing here
-_UNLIKE, _ALIKE = 0.8, 0.2  # `apart` from which the embeddings say nothing against that, and what
-_AT_MOST = 0.75  # they say, at most, the more the less it is
+_DISAGREE, _AGREE, _AT_MOST = 0.6, 0.15, 0.75  # that it is right all the same: 0 for that share of
+# samples that agree, rising to 1 over so much more, but no more than that
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -250,7 +250,7 @@ class PartMap:
             has = _logistic(evidence, _COUNTERPART, _OF_CLOSED * is_closed)
             right = _logistic(evidence, _RIGHT, _OF_SHARE * np.log(self.consistent + 0.1))
         else:
-            lying, agreement = _lying(self, self.fit)
+            lying, agreement, share = _lying(self, self.fit)
             closed = np.full((len(lying), 1), is_closed)
             lies = _logistic(np.hstack([lying, evidence[:, 1:2], closed]), _LIES)
             has = lies * _logistic(np.hstack([agreement, closed]), _AGREES)
@@ -258,8 +258,8 @@ class PartMap:
             clear = np.full((len(lying), 1), min(margin, _CLEAR))
             columns = np.hstack([lying[:, :1], agreement, evidence[:, 1:2], clear])
             # times the probability that no other map is the right one
-            alike = min((_UNLIKE - self.fit.apart) / _ALIKE, _AT_MOST)
-            right = max(min(margin / _UNCLEAR, 1.0), alike) * _logistic(columns, _RIGHT_LYING)
+            agreed = min((share - _DISAGREE) / _AGREE, _AT_MOST)
+            right = max(min(margin / _UNCLEAR, 1.0), agreed) * _logistic(columns, _RIGHT_LYING)
         matched = self.forward >= 0
         return np.where(matched, has, 0.0), np.where(matched, right, 0.0)
 
@@ -487,8 +487,8 @@ def _evidence(found: PartMap) -> FloatArray:
     return np.column_stack([mean[:, :4], longer])
 
 
-def _lying(found: PartMap, fit: PartFit) -> tuple[FloatArray, FloatArray]:
-    """Where each source vertex lies, (n, 2), and how far it keeps its distances, (n, 1).
+def _lying(found: PartMap, fit: PartFit) -> tuple[FloatArray, FloatArray, float]:
+    """Where each source vertex lies, (n, 2), how far it keeps distances, (n, 1), and how many do.
 
     The logarithm of its height over the target, and by how far it is beyond the target's rim; see
     `esd.matching.anchors.agreement_with_most`. All averaged around it.
@@ -497,14 +497,14 @@ def _lying(found: PartMap, fit: PartFit) -> tuple[FloatArray, FloatArray]:
     is_open = [len(boundary_edges(each.mesh)) > 0 for each in (found.source, found.target)]
     slack = [_SLACK if each and not all(is_open) else 1.0 for each in is_open]
     places, ways, image = _compared_ways(found)
-    agreement = agreement_with_most(
+    agreement, share = agreement_with_most(
         ways, image, places, fit.gap[0][places] < _LYING, slack=(slack[0], slack[1])
     )
     height = np.log(np.minimum(height, _GAP) + _OFFSETS[0])
     beyond = np.clip(beyond / _BEYOND_RIM, -1, 1)
     values = np.nan_to_num(np.stack([height, beyond, agreement], axis=1))
     mean = _averaged(found.source.mesh, values, _FEWER_RINGS)
-    return mean[:, :2], mean[:, 2:]
+    return mean[:, :2], mean[:, 2:], share
 
 
 def _over_target(found: PartMap) -> tuple[FloatArray, FloatArray]:
