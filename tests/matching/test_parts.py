@@ -12,7 +12,7 @@ from esd.datasets.parts import Perturbed, part_of
 from esd.learning.model import load_model
 from esd.matching.features import Features, shape_features
 from esd.matching.match import match
-from esd.matching.parts import best_part_map, open_mesh
+from esd.matching.parts import best_part_map, is_calibrated, open_mesh
 from esd.mesh.geodesics import geodesic_graph
 from esd.mesh.geometry import surface_area
 from esd.mesh.mesh import Mesh
@@ -138,6 +138,18 @@ def test_a_model_of_whole_surfaces_is_not_taken_for_one_of_parts(monkeypatch):
         with pytest.raises(DescribedError) as raised:
             best_part_map(opened, opened, model=model)
         assert raised.value.args[0].recipe.is_of_parts
+
+
+def test_only_the_bundled_model_of_parts_is_calibrated():
+    model = load_model("partial")
+    assert is_calibrated(model) and is_calibrated(load_model("default"))
+    weights = {name: 1.01 * values for name, values in model.diffusion.weights.items()}
+    trained = replace(model, diffusion=replace(model.diffusion, weights=weights))
+    assert not is_calibrated(trained)
+    _, points = body("s10_p01")
+    found = match(cut().mesh, body("s10_p01")[0], model=trained, candidates=["part"])
+    assert right(found.target_index, points_of_cut(), points, body("s10_p01")[0]) > 0.9
+    assert found.judgement.verdict == "doubtful"
 
 
 def test_closed_meshes_pinholes_and_several_pieces_are_no_parts():

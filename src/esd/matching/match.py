@@ -23,7 +23,7 @@ from esd.matching.judge import accuracy, cost
 from esd.matching.landmarks import check_landmarks
 from esd.matching.local_refine import Level, levels, local_zoomout
 from esd.matching.partial import PartMap, consistent_share
-from esd.matching.parts import MISFITS, Scale, best_part_map
+from esd.matching.parts import MISFITS, Scale, best_part_map, is_calibrated
 from esd.matching.points import accuracy_of_points, evidence_of_points, with_surface
 from esd.matching.refine import SIZES, joint_rows, mean_squared_distance
 from esd.matching.registered import REGISTERED, registered
@@ -51,6 +51,7 @@ Mirror: TypeAlias = Literal["auto", "yes", "no"]
 
 _PART = "part"  # of `CANDIDATES`
 _COUNTERPART = 0.5  # probability of a counterpart beyond which a vertex is matched
+_NOT_CALIBRATED = 0.89  # factor of the confidence by another model of parts: at best doubtful
 _AS_CONSISTENT = 0.02  # share by which maps between parts may be less consistent than others
 _LEFT = 0.02  # sum of the shares that are lost there and back, and uncovered, below which nothing
 # seems to be missing; teeth, open as they are, have 0.007 at most, people cut by a tenth 0.045
@@ -335,6 +336,8 @@ def match_features(
         embeddings = parts.source.embedded, parts.target.embedded
         found = with_similarity(*embeddings, index, margin=None)
         has_counterpart, right = parts.probabilities()
+        if not is_calibrated(model):
+            right = _NOT_CALIBRATED * right
         kept = has_counterpart > _COUNTERPART
         found = _judged_parts(found, parts, has_counterpart, right, source, target)
     if found.judgement is not None:

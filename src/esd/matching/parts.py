@@ -60,6 +60,16 @@ def open_mesh(features: Features) -> Mesh | None:
     return mesh if length > _OPEN * np.sqrt(surface_area(mesh)) else None
 
 
+def is_calibrated(model: Model) -> bool:
+    """Whether parts are matched by the bundled model, to whose maps the confidence was fitted."""
+    if not model.recipe.is_of_parts:
+        return True  # the bundled model is used in its place
+    bundled = _bundled()
+    assert model.diffusion is not None and bundled.diffusion is not None
+    own, known = model.diffusion.weights, bundled.diffusion.weights
+    return own.keys() == known.keys() and all(np.array_equal(own[key], known[key]) for key in own)
+
+
 def best_part_map(
     source: Features,
     target: Features,
