@@ -135,9 +135,7 @@ def agreement(source_ways: FloatArray, image_ways: FloatArray, places: IntArray)
     """
     weight = _weight(np.minimum(source_ways, image_ways))
     agree = weight * _agreement(source_ways, image_ways)
-    among, total = agree[:, places].copy(), weight[:, places].copy()
-    np.fill_diagonal(among, 0.0)
-    np.fill_diagonal(total, 0.0)
+    among, total = _of_others(agree, places), _of_others(weight, places)
     least = np.finfo(float).tiny
     support = np.ones(len(places))
     for _ in range(_POWER_STEPS):
@@ -186,15 +184,20 @@ def agreement_with_most(
             deviation = (ways - image_ways) / (_ABSOLUTE + _RELATIVE * np.minimum(ways, image_ways))
             weight = _weight(np.minimum(ways, image_ways))
             agree = weight / (1 + np.where(deviation > 0, *(deviation / s for s in slack)) ** 2)
-            among, total = agree[:, places].copy(), weight[:, places].copy()
-            np.fill_diagonal(among, 0.0)
-            np.fill_diagonal(total, 0.0)
+            among, total = _of_others(agree, places), _of_others(weight, places)
         mean = (support @ among) / np.maximum(support @ total, _LEAST)
         best = np.quantile(mean[support > 0.2], _BEST) if (support > 0.2).any() else 1.0
         best = max(float(best), _LEAST)
         support = lying / (1 + np.exp(-(mean / best - _SHARED) / _SLOPE))
     kept = (support @ agree) / np.maximum(support @ weight, _LEAST) / best
     return np.asarray(kept), float(support.sum() / max(lying.sum(), 1))
+
+
+def _of_others(values: FloatArray, places: IntArray) -> FloatArray:
+    """Values of samples at the samples, (k, k), without those of each at itself."""
+    result = values[:, places].copy()
+    np.fill_diagonal(result, 0.0)
+    return result
 
 
 def _candidates(similarity: FloatArray, target_ways: FloatArray) -> IntArray:

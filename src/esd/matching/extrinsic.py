@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from esd.common import BoolArray, FloatArray, IntArray
 from esd.matching.precise import precise_map
-from esd.mesh.geometry import unit, vertex_areas, vertex_normals
+from esd.mesh.geometry import is_referenced, unit, vertex_areas, vertex_normals
 from esd.mesh.mesh import Mesh
 from esd.mesh.sampling import spread
 from esd.mesh.topology import boundary_edges
@@ -178,17 +178,19 @@ def deformed(
     Myronenko, Song 2010, *Point set registration: coherent point drift*.
     """
     corners = [sparse.eye_array(len(each.points), format="csr") for each in (source, target)]
+    whole = _searchable(target)
+    wanted = whole.keys[target.sample]
     for kernels in (_WHOLE, _DETAIL):
         in_detail = kernels is _DETAIL
         basis = _smooth_functions(source, *kernels)
         amplitude, result = _AMPLITUDE, source
         for _ in range(rounds):
-            rows = result.keys()[source.sample], target.keys()[target.sample]
-            there, is_usable = _nearest_places(target, rows[0], on_faces=in_detail)
-            here, is_usable_too = _nearest_places(result, rows[1], on_faces=in_detail)
+            own = _searchable(result)
+            there, is_usable = _nearest_places(whole, own.keys[source.sample], on_faces=in_detail)
+            here, is_usable_too = _nearest_places(own, wanted, on_faces=in_detail)
             here = sparse.vstack([corners[0][source.sample][is_usable], here[is_usable_too]])
             there = sparse.vstack([there[is_usable], corners[1][target.sample][is_usable_too]])
-            weight = _trimmed(np.linalg.norm(here @ result.keys() - there @ target.keys(), axis=1))
+            weight = _trimmed(np.linalg.norm(here @ own.keys - there @ whole.keys, axis=1))
             if landmarks is not None:
                 here = sparse.vstack([here, corners[0][landmarks[0]]])
                 there = sparse.vstack([there, corners[1][landmarks[1]]])
@@ -222,21 +224,37 @@ def _smooth_functions(shape: Posed, count: int, width: float) -> FloatArray:
     return np.asarray(kernel(shape.points) @ (vectors[:, kept] / np.sqrt(values[kept])))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Searchable:
+    """A shape with the keys of its vertices, and a tree of those that have a face."""
+
+    shape: Posed
+    keys: FloatArray
+    faced: IntArray
+    tree: KDTree
+
+
+def _searchable(shape: Posed) -> _Searchable:
+    keys = shape.keys()
+    mesh = Mesh(np.asarray(shape.points, dtype=np.float64), shape.faces)
+    faced = np.flatnonzero(is_referenced(mesh))
+    return _Searchable(shape, keys, faced, KDTree(keys[faced]))
+
+
 def _nearest_places(
-    shape: Posed, rows: FloatArray, *, on_faces: bool
+    found: _Searchable, rows: FloatArray, *, on_faces: bool
 ) -> tuple[sparse.csr_array, BoolArray]:
     """Weights (r, n) of the vertices at the places nearest to some rows, and which are usable."""
-    keys = shape.keys()
-    faced = np.flatnonzero(np.bincount(shape.faces.ravel(), minlength=len(keys)))
-    index = faced[KDTree(keys[faced]).query(rows)[1]]
+    index = found.faced[found.tree.query(rows)[1]]
     columns: IntArray = index[:, None]
     weights: FloatArray = np.ones((len(rows), 1))
     if on_faces:
-        place = precise_map(rows, keys, shape.faces, index)
-        columns, weights = shape.faces[place.face], place.weights
+        place = precise_map(rows, found.keys, found.shape.faces, index)
+        columns, weights = found.shape.faces[place.face], place.weights
     start = columns.shape[1] * np.arange(len(rows) + 1)
-    places = sparse.csr_array((weights.ravel(), columns.ravel(), start), (len(rows), len(keys)))
-    return places, shape.usable[index]
+    size = len(rows), len(found.keys)
+    places = sparse.csr_array((weights.ravel(), columns.ravel(), start), size)
+    return places, found.shape.usable[index]
 
 
 def _rotations(source: Posed, target: Posed, *, mirrored: bool, seed: int) -> list[FloatArray]:
