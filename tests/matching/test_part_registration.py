@@ -52,7 +52,7 @@ def test_what_the_other_lacks_is_told_from_what_it_has():
 
 
 def test_a_map_that_is_turned_is_replaced_by_another(found):
-    turned = other_part_maps(found, count=1)[0]
+    turned = other_part_maps([found], count=1)[0]
     assert off(turned) > 0.2
     best = best_registered([turned])
     assert off(best) < 0.02
@@ -60,7 +60,7 @@ def test_a_map_that_is_turned_is_replaced_by_another(found):
 
 
 def test_other_anchors_lead_away_from_the_first_and_those_among_halves_need_not(found):
-    away, *halves = other_part_maps(found, count=7)
+    away, *halves = other_part_maps([found], count=7)
     there = found.target.sample
     used = away.anchors.support > 0.6
     gap = (
@@ -72,6 +72,15 @@ def test_other_anchors_lead_away_from_the_first_and_those_among_halves_need_not(
     there_of = [each.target.points[there[each.anchors.target]] for each in (found, *halves)]
     for number, one in enumerate(there_of):
         assert all(np.linalg.norm(one - two, axis=1).mean() > 0.02 for two in there_of[:number])
+
+
+def test_other_anchors_are_sought_at_each_size(found):
+    area, model = 2 * surface_area(found.target.mesh), load_model("partial")
+    smaller = part_map(part(found.source.mesh, area, model=model), found.target)
+    others = other_part_maps([smaller, found], count=4)
+    assert others[0].source is smaller.source
+    assert {id(each.source) for each in others[1:]} == {id(smaller.source), id(found.source)}
+    assert off(best_registered([smaller, found])) < 0.01
 
 
 def test_surfaces_that_are_no_manifolds_are_not_deformed(found):

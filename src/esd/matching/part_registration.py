@@ -23,6 +23,7 @@ _LYING = 0.03  # in √area of the whole: gap below which shapes count as lying 
 _LARGEST = 1.15  # factor by which the size is corrected by what is measured
 _TRIED = 2  # of the maps that are given, those that fit best
 _OTHERS = 7  # maps by other anchors
+_SIZES = 5  # of the maps that are given, at which these are sought
 _KEPT = (3, 1)  # of which are registered once more, and again
 _LIKE = 0.02  # in √area of the whole: mean distance of images below which maps are the same
 _ELSEWHERE = 0.05  # and beyond which they differ in more than details
@@ -59,7 +60,7 @@ def best_registered(maps: Sequence[PartMap]) -> PartMap | None:
     def registered(found: PartMap) -> PartMap | None:
         return _registered(_sized(found.source, coarse[0]), _sized(found.target, coarse[1]), found)
 
-    starts = _distinct(order)[:_TRIED] + other_part_maps(order[0], count=_OTHERS)
+    starts = _distinct(order)[:_TRIED] + other_part_maps(order[:_SIZES], count=_OTHERS)
     starts = _distinct(starts)
     made: list[PartMap] = []
     for count in (*_KEPT, 0):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -48,6 +48,7 @@ _AWAY = 0.15  # in √area of the larger shape: how far other anchors lead away
 _AWAY_WEIGHT = 6.0  # of rows of these, which embeddings contradict
 _FORBIDDEN = -10.0  # product of rows of unit length where an anchor must not lead
 _HALVES = 20  # of the target's samples, drawn at random, among which anchors are sought
+_FEWER_HALVES = 5  # the same at each of the other sizes
 _LIKE = 0.05  # in √area of the larger shape: mean distance of anchors below which they are the same
 _LANDMARK_WEIGHT = 1.5  # of rows of landmarks beside embeddings, which have unit length
 _RIDGE = 1e-3
@@ -283,30 +284,54 @@ def part_map(source: Part, target: Part, *, landmarks: IntArray | None = None) -
     return _anchored(source, target, rows, found, _ANCHOR_WEIGHT)
 
 
-def other_part_maps(found: PartMap, *, count: int, seed: int = 0) -> list[PartMap]:
-    """Maps by other anchors than those of a map, which differ from each other.
+def other_part_maps(maps: Sequence[PartMap], *, count: int, seed: int = 0) -> list[PartMap]:
+    """Maps by other anchors than those of some maps at several sizes, which differ from each other.
 
     First those that lead nowhere near the best that are known: what is right may be the second
     best, such as the other side of a symmetric shape. Then, best first, some among halves of the
-    target's samples: the right ones are often not found among all.
+    target's samples: the right ones are often not found among all. Last, the best among fewer
+    halves at each of the other sizes, as none may be right at a size that is wrong.
+
+    Parameters
+    ----------
+    maps
+        Best first.
+    count
+        Of the maps at the size of the first, at most.
     """
-    source, target, rows = found.source, found.target, found.alike
-    samples = np.arange(len(target.ways))
+    found = maps[0]
+    samples = np.arange(len(found.target.ways))
     generator = np.random.default_rng(seed)
-    halves = [np.flatnonzero(generator.random(len(samples)) < 0.5) for _ in range(_HALVES)]
-    tried = [_anchors(source, target, rows, half) for half in halves if len(half)]
-    tried = sorted(tried, key=lambda each: -each.agreement)
-    best = max((found.anchors, *tried[:1]), key=lambda each: each.agreement)
-    ways = _ways_between(source, target)
-    kept: list[Anchors] = []
-    for each in tried:
-        if all(_apart(each, other, ways) > _LIKE for other in (found.anchors, *kept)):
-            kept.append(each)
-    away = _anchors(source, target, rows, samples, away_from=best)
+
+    def among_halves(each: PartMap, times: int) -> list[Anchors]:
+        halves = [np.flatnonzero(generator.random(len(samples)) < 0.5) for _ in range(times)]
+        tried = [_anchors(*_ends(each), half) for half in halves if len(half)]
+        return sorted(tried, key=lambda known: -known.agreement)
+
+    tried = among_halves(found, _HALVES)
+    best = max((found.anchors, *tried[:1]), key=lambda known: known.agreement)
+    ways = _ways_between(found.source, found.target)
+    away = _anchors(*_ends(found), samples, away_from=best)
+    kept = [(found.anchors, found)]
+
+    def keep(known: Anchors, each: PartMap) -> None:
+        if all(_apart(known, other, ways) > _LIKE for other, _ in kept):
+            kept.append((known, each))
+
+    for known in tried:
+        if len(kept) < count:
+            keep(known, found)
+    for each in maps[1:]:
+        for known in among_halves(each, _FEWER_HALVES)[:1]:
+            keep(known, each)
     return [
-        _anchored(source, target, rows, away, _AWAY_WEIGHT),
-        *(_anchored(source, target, rows, each, _ANCHOR_WEIGHT) for each in kept[: count - 1]),
+        _anchored(*_ends(found), away, _AWAY_WEIGHT),
+        *(_anchored(*_ends(each), known, _ANCHOR_WEIGHT) for known, each in kept[1:]),
     ]
+
+
+def _ends(found: PartMap) -> tuple[Part, Part, Rows]:
+    return found.source, found.target, found.alike
 
 
 def _ways_between(source: Part, target: Part) -> FloatArray:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import product
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -34,8 +35,8 @@ MISFITS = 0.6
 _OPEN = 0.15  # length of all boundaries, in √area, beyond which something may be missing
 _OTHER_UNITS = 0.25  # consistent share below which `auto` gives up that units are the same
 _LARGER = (1.0, 1.25, 1.6, 2.0)  # area of the whole, times that of the larger part
+_UNLIKE = 0.5  # difference of the logarithms of the areas of two wholes, of both of which are parts
 _OTHERS = (0.64, 0.8, 1.0, 1.25, 1.56)  # area of a part's own whole, times that of another
-_FIRST = 1.0  # of these, from which others are looked at as long as they fit better
 _MEASURED = 2  # times at most that the size is corrected by what anchors measure
 _EQUAL = 0.03  # relative difference of areas that is not corrected
 _SHARES = (1.0, 0.8, 0.63, 0.5, 0.4, 0.3)  # of the whole, where units differ
@@ -82,10 +83,11 @@ def best_part_map(
     """The map between shapes of which one or both are parts; None where neither is open.
 
     Where one is whole and of the same unit, the whole of the other has from two thirds to one and
-    a half times its area. Where both are open, the whole is larger than either, and several sizes
-    are tried; where units differ, several shares that an open shape could be of its whole. That
-    size is taken at which most is consistent and distances between anchors agree most, see
-    `esd.matching.anchors`, and corrected by how much longer they are on one of the shapes.
+    a half times its area. Where both are open, the wholes are larger than either, and several sizes
+    of each are tried; where units differ, several shares that an open shape could be of its whole.
+    Where most is consistent and distances between anchors agree most, see `esd.matching.anchors`,
+    sizes are corrected by how much longer these are on one of the shapes. Which of all is right,
+    the deformations tell.
 
     Parameters
     ----------
@@ -133,8 +135,8 @@ def best_part_map(
     best: PartMap | None = None
     maps: list[PartMap] = []
     if alike:
-        sized = _climbed(alike, tried) if None in opened else _fitting(map(tried, alike.values()))
-        best, maps = corrected(sized).found, list(seen)
+        best = corrected(_fitting(map(tried, alike))).found
+        maps = list(seen)
     if others and (best is None or best.consistent < _OTHER_UNITS):
         seen.clear()
         found = corrected(_fitting(map(tried, others))).found
@@ -161,23 +163,6 @@ def _fitting(sizes: Iterable[_Sized]) -> _Sized:
     return max(sizes, key=lambda sized: sized.score)
 
 
-def _climbed(wholes: Mapping[float, _Wholes], tried: Callable[[_Wholes], _Sized]) -> _Sized:
-    """The sizes that fit best, found from a first one on, by factors in order."""
-    factors = list(wholes)
-    place = factors.index(_FIRST)
-    best = tried(wholes[_FIRST])
-    for step in (1, -1):
-        found = place
-        while 0 <= found + step < len(factors):
-            other = tried(wholes[factors[found + step]])
-            if other.score <= best.score:
-                break
-            best, found = other, found + step
-        if found != place:
-            break
-    return best
-
-
 @lru_cache(maxsize=1)
 def _bundled() -> Model:
     return load_model(BUNDLED)
@@ -185,21 +170,26 @@ def _bundled() -> Model:
 
 def _wholes(
     areas: Sequence[float], is_open: Sequence[bool], scale: Scale
-) -> tuple[dict[float, _Wholes], list[_Wholes]]:
+) -> tuple[list[_Wholes], list[_Wholes]]:
     """Areas of the wholes of both shapes to try, each in its own unit.
 
-    Those of one unit by their factor, in order, and then those of different units.
+    Those of one unit, and then those of different units.
     """
     is_plausible = True
     if all(is_open):
-        alike = {factor: (max(areas) * factor, max(areas) * factor) for factor in _LARGER}
+        sizes = [max(areas) * factor for factor in _LARGER]
+        alike = [
+            (one, other)
+            for one, other in product(sizes, sizes)
+            if abs(np.log(one / other)) < _UNLIKE
+        ]
     else:
         place = is_open.index(False)
         is_plausible = _PLAUSIBLE[0] < areas[1 - place] / areas[place] < _PLAUSIBLE[1]
-        alike = {
-            factor: (areas[0], areas[0] * factor) if place == 0 else (areas[1] * factor, areas[1])
+        alike = [
+            (areas[0], areas[0] * factor) if place == 0 else (areas[1] * factor, areas[1])
             for factor in _OTHERS
-        }
+        ]
     if scale == "same" or (scale == "auto" and all(is_open)):
         return alike, []
     others: list[_Wholes] = []
@@ -208,4 +198,4 @@ def _wholes(
             others.append((areas[0] / share, areas[1]))
         if is_open[1]:
             others.append((areas[0], areas[1] / share))
-    return (alike if scale == "auto" and is_plausible else {}), others
+    return (alike if scale == "auto" and is_plausible else []), others
