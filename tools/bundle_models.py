@@ -109,7 +109,7 @@ def main() -> None:
                 card[f"on {title}, refined"] = figures(
                     model, collection, refine=True, count=options.pairs
                 )
-        save_model(replace(model, card=card), folder)
+        save_model(replace(model, card=card), folder, half_precision=True)
         print(name, card, sep="\n")
 
 

@@ -45,6 +45,18 @@ def test_models_come_back_as_they_were_saved(model, tmp_path):
     assert [file.name for file in tmp_path.iterdir()] == ["m"]
 
 
+def test_weights_can_be_rounded_to_half_the_room(model, tmp_path):
+    for name, half in (("whole", False), ("half", True)):
+        save_model(model, tmp_path / name, half_precision=half)
+    back = load_model(tmp_path / "half")
+    for layer, rounded in zip(model.layers, back.layers, strict=True):
+        assert rounded.weight.dtype == np.float32
+        np.testing.assert_array_equal(rounded.weight, layer.weight.astype(np.float16))
+    np.testing.assert_array_equal(back.mean, model.mean)
+    sizes = [(tmp_path / name / "model.safetensors").stat().st_size for name in ("whole", "half")]
+    assert sizes[0] - sizes[1] >= 2 * model.layers[0].weight.size
+
+
 def test_descriptions_say_in_a_line_how_a_model_was_trained(model):
     card = {
         "data": "set",

@@ -319,7 +319,7 @@ def _model_of(
             raise InputError(f"`{name}` must be an object of names and values; got {value!r}.")
     recipe = Recipe.from_json(config["recipe"])
     diffusion = {
-        name.removeprefix(_DIFFUSION): array.astype(np.float32)
+        name.removeprefix(_DIFFUSION): _single(array)
         for name, array in weights.items()
         if name.startswith(_DIFFUSION)
     }
@@ -329,7 +329,7 @@ def _model_of(
         mean=weights["mean"],
         deviation=weights["deviation"],
         layers=tuple(
-            Layer(weights[f"layer{i}.weight"], weights[f"layer{i}.bias"])
+            Layer(_single(weights[f"layer{i}.weight"]), _single(weights[f"layer{i}.bias"]))
             for i in range(len(widths) - 1)
         ),
         margin=margin,
@@ -342,8 +342,20 @@ def _model_of(
     )
 
 
-def save_model(model: Model, folder: str | os.PathLike[str]) -> None:
+def _single(array: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
+    """Weights as they compute, which a file may have rounded to 16 bits."""
+    return array.astype(np.float32, copy=False)
+
+
+def save_model(
+    model: Model, folder: str | os.PathLike[str], *, half_precision: bool = False
+) -> None:
     """Write a model folder whole, in place of a model that was there.
+
+    Parameters
+    ----------
+    half_precision
+        Whether weights are rounded to 16 bits, for half the room.
 
     Raises
     ------
@@ -362,11 +374,14 @@ def save_model(model: Model, folder: str | os.PathLike[str]) -> None:
         "patches": None if model.patches is None else asdict(model.patches),
         "card": dict(model.card),
     }
-    arrays: dict[str, npt.NDArray[Any]] = {"mean": model.mean, "deviation": model.deviation}
+    arrays: dict[str, npt.NDArray[Any]] = {}
     for i, layer in enumerate(model.layers):
         arrays |= {f"layer{i}.weight": layer.weight, f"layer{i}.bias": layer.bias}
     if model.diffusion is not None:
         arrays |= {_DIFFUSION + name: array for name, array in model.diffusion.weights.items()}
+    if half_precision:
+        arrays = {name: array.astype(np.float16) for name, array in arrays.items()}
+    arrays |= {"mean": model.mean, "deviation": model.deviation}
     weights = save({name: np.ascontiguousarray(array) for name, array in arrays.items()})
     with whole_folder(folder) as temporary:
         (temporary / "model.safetensors").write_bytes(weights)
