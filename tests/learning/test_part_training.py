@@ -1,5 +1,6 @@
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from esd.mesh.mesh import PointCloud
 from esd.parallel import Workers
 
 torch = pytest.importorskip("torch", reason="training needs the extra `train`")
-from esd.learning.part_training import train_on_parts  # noqa: E402
+from esd.learning.part_training import _draw, _Part, train_on_parts  # noqa: E402
 
 TRAINING = replace(
     PRESETS["partial"],
@@ -63,6 +64,22 @@ def test_training_lowers_the_loss_and_finds_points_of_parts(two, collection):
     assert model.card["parts"] == 20
     assert model.card["data"] == "copies, whole and cut"
     assert model.card["shapes"] == ["c0", "c1"]
+
+
+def test_templates_are_drawn_as_often_as_they_have_shapes():
+    points = np.arange(5, dtype=np.int32)
+    counts = {"a": 8, "b": 4}
+    parts = tuple(
+        _Part(Path(f"{name}{i}"), points, name)
+        for name, count in counts.items()
+        for i in range(count)
+    )
+    pairs = [_draw(parts, TRAINING, 0, number) for number in range(300)]
+    for pair in pairs:
+        assert pair.source is not pair.target
+        assert pair.source.template == pair.target.template
+    assert np.mean([pair.source.template == "b" for pair in pairs]) == pytest.approx(1 / 3, abs=0.1)
+    assert len({pair.source.path for pair in pairs}) == len(parts)
 
 
 def test_equal_arguments_give_equal_weights(two):

@@ -362,11 +362,17 @@ def _arrays(part: Mesh, recipe: Recipe, share: float) -> dict[str, npt.NDArray[A
 
 
 def _draw(parts: tuple[_Part, ...], training: Training, seed: int, number: int) -> _Pair:
-    """A pair of parts of one template that have points enough in common, of a seed and a number."""
+    """A pair of parts of one template that have points enough in common, of a seed and a number.
+
+    The source may be any part, the target any other of its template, so that templates of few
+    shapes are drawn as often as these are.
+    """
     generator = np.random.default_rng((seed, number))
+    templates = np.array([part.template for part in parts])
     for _ in range(_TRIES):
-        source, target = (parts[i] for i in generator.choice(len(parts), 2))
-        if source is target or source.template != target.template:
+        source = parts[generator.integers(len(parts))]
+        target = parts[generator.choice(np.flatnonzero(templates == source.template))]
+        if source is target:
             continue
         common = np.flatnonzero((source.points >= 0) & (target.points >= 0))
         if len(common) > min(_COMMON, _COMMON_SHARE * len(source.points)):
@@ -518,7 +524,7 @@ def _identity(
     names += [part.path.name for pair in held for part in (pair.source, pair.target)]
     first = {} if start is None or start.diffusion is None else start.diffusion.weights
     return content_key(
-        "training on parts 2",
+        "training on parts 3",
         np.array(names),
         *(first[name] for name in sorted(first)),
         *(pair.points for pair in held),
