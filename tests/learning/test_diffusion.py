@@ -6,9 +6,21 @@ import pytest
 
 from esd.common import InputError
 from esd.datasets.parts import part_of
-from esd.descriptors.recipe import part_recipe, recipe_spectrum, single_recipe
+from esd.descriptors.recipe import (
+    part_recipe,
+    recipe_spectrum,
+    single_recipe,
+    spectrum_descriptors,
+)
 from esd.learning.diffusion import DiffusionNetwork, diffusion_network, surface_of
-from esd.learning.model import Model, load_model, model_description, save_model
+from esd.learning.model import (
+    Layer,
+    Model,
+    load_model,
+    model_description,
+    save_model,
+    with_diffusion,
+)
 from esd.mesh.geometry import surface_area
 from esd.mesh.mesh import Mesh
 from esd.spectral.spectrum import spectrum
@@ -198,3 +210,39 @@ def test_saved_models_with_wrong_or_missing_weights_are_refused(model, tmp_path)
     (folder / "config.json").write_text(json.dumps(config))
     with pytest.raises(InputError, match="do not fit each other"):
         load_model(folder)
+
+
+def test_a_model_with_layers_and_a_network_embeds_by_both_side_by_side(blob, tmp_path):
+    recipe = replace(single_recipe("hks"), eigenpairs=60)
+    generator = np.random.default_rng(3)
+    layer = Layer(
+        generator.standard_normal((7, recipe.width)).astype("f4"), np.ones(7, dtype=np.float32)
+    )
+    values = spectrum_descriptors(recipe, blob, recipe_spectrum(recipe, blob))
+    mean, deviation = values.mean(axis=0), values.std(axis=0)
+    plain = Model("plain", recipe, mean, deviation, (layer,), limit=50.0, unit_length=True)
+    network = diffusion_network(random_weights(recipe.width), inputs=recipe.width)
+    surface = replace(
+        plain, layers=(), mean=mean + 0.4 * deviation, deviation=1.3 * deviation, diffusion=network
+    )
+    both = with_diffusion(plain, surface)
+    parts = [each.embed_mesh(blob) for each in (plain, surface)]
+    found = both.embed_mesh(blob)
+    np.testing.assert_allclose(found, np.hstack(parts) / 2**0.5, atol=2e-4)
+    np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1, rtol=1e-5)
+    save_model(both, tmp_path / "both")
+    back = load_model(tmp_path / "both")
+    np.testing.assert_array_equal(back.embed_mesh(blob), found)
+    assert f"Layers: {recipe.width} – 7; network: 2 blocks" in model_description(back)
+    assert not back.is_pointwise
+
+
+def test_models_of_different_kinds_are_not_joined(model):
+    default = load_model("oriented")
+    plain = replace(default, diffusion=None)
+    with pytest.raises(InputError, match="differ in their descriptors"):
+        with_diffusion(plain, model)
+    with pytest.raises(InputError, match="one must have layers alone"):
+        with_diffusion(plain, plain)
+    with pytest.raises(InputError, match="one must have layers alone"):
+        with_diffusion(model, model)

@@ -41,7 +41,8 @@ def adapted(
     Parameters
     ----------
     model
-        Fully connected, with embeddings of unit length.
+        Fully connected, with embeddings of unit length. A network that it has beside its layers is
+        left out.
     source, target
         Samples with descriptors standardised as the model's, and with copies if wanted.
     first
@@ -94,7 +95,7 @@ def adapted(
                 dropout=dropout,
             )
             descend(optimiser, loss, rate=rate)
-    return replace(model, layers=layers_of(network))
+    return replace(model, layers=layers_of(network), diffusion=None)
 
 
 def _itself(samples: Samples, generator: np.random.Generator) -> Lesson:

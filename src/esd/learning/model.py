@@ -91,7 +91,8 @@ class Model:
     patches
         Of the surface, over which convolutions go; None where no layer is one.
     diffusion
-        The network in place of layers, of models that see the surface; None for others.
+        The network of models that see the surface, in place of layers or beside them: then the
+        embedding is that of both side by side. None for other models.
     card
         What it was trained on, how, and how it did: plain data.
     device
@@ -186,21 +187,22 @@ class Model:
         mean, deviation = (
             each.astype(values.dtype, copy=False) for each in (self.mean, self.deviation)
         )
-        result = standardised(values, mean, deviation, limit=self.limit)
-        result = self._after_layers(result, operator)
+        values = standardised(values, mean, deviation, limit=self.limit)
+        results = []
+        if self.layers or self.diffusion is None:
+            results.append(self._after_layers(values, operator))
+        if self.diffusion is not None and isinstance(operator, Surface):
+            results.append(self.diffusion(np.nan_to_num(values), operator))
+            results[-1][np.isnan(values).any(axis=1)] = np.nan
         if self.unit_length:
-            result /= np.linalg.norm(result, axis=1, keepdims=True)
-        return result
+            for result in results:
+                result /= np.sqrt(len(results)) * np.linalg.norm(result, axis=1, keepdims=True)
+        return np.hstack(results) if len(results) > 1 else results[0]
 
     def _after_layers(
         self, values: FloatArray, operator: SparseMatrix | Surface | None
     ) -> FloatArray:
         """Standardised descriptors (n, width) after all layers, (n, outputs)."""
-        if self.diffusion is not None and isinstance(operator, Surface):
-            undefined = np.isnan(values).any(axis=1)
-            values = self.diffusion(np.nan_to_num(values), operator)
-            values[undefined] = np.nan
-            return values
         if self.device != "cpu" and self.patches is None:
             from esd.learning.network import propagated
 
@@ -228,6 +230,35 @@ class Model:
         """Embedding (n, outputs) of the vertices of a mesh, from its `recipe_spectrum`."""
         values = spectrum_descriptors(self.recipe, mesh, spectrum, cache=cache)
         return self.embed(values, self.operator(mesh, spectrum, cache=cache))
+
+
+def with_diffusion(model: Model, other: Model) -> Model:
+    """A fully connected model with the network of another of equal descriptors beside its layers.
+
+    The other's standardisation becomes part of its first layer; descriptors are cut off where those
+    of the model are.
+
+    Raises
+    ------
+    InputError
+        If the other has no such network, or the models differ in kind.
+    """
+    if other.diffusion is None or not model.layers or not model.is_pointwise:
+        raise InputError(
+            f"'{model.name}' and '{other.name}' cannot be joined: one must have layers "
+            "alone, the other a network that diffuses features."
+        )
+    if model.recipe.to_json() != other.recipe.to_json() or model.unit_length != other.unit_length:
+        raise InputError(
+            f"'{model.name}' and '{other.name}' cannot be joined: they differ in their "
+            "descriptors, or in whether embeddings have unit length."
+        )
+    weights = dict(other.diffusion.weights)
+    first = weights["first.weight"].astype(np.float64) / other.deviation
+    bias = weights["first.bias"] + first @ (model.mean - other.mean)
+    weights["first.weight"] = (first * model.deviation).astype(np.float32)
+    weights["first.bias"] = bias.astype(np.float32)
+    return replace(model, diffusion=diffusion_network(weights, inputs=model.recipe.width))
 
 
 def standardised(
@@ -480,13 +511,15 @@ def model_description(model: Model) -> str:
 
 
 def _layers_description(model: Model) -> str:
+    layers = f"Layers: {' – '.join(map(str, layer_widths(model)))}"
     if model.diffusion is None:
-        return f"Layers: {' – '.join(map(str, layer_widths(model)))}"
+        return layers
     weights = model.diffusion.weights
-    return (
+    network = (
         f"Network: {model.diffusion.block_count} blocks of {len(weights['0.time'])} features that "
         f"diffuse over the surface, {len(weights['out.bias'])} outputs"
     )
+    return f"{layers}; {network.lower()}" if model.layers else network
 
 
 def _training_description(card: Mapping[str, Any]) -> list[str]:

@@ -71,8 +71,9 @@ class Features:
         return np.where(repaired >= 0, nearest[repaired], -1)
 
     def embedded_by(self, model: Model) -> Features:
-        """The same with the embedding by another model of the same recipe, without convolutions."""
-        return replace(self, embedded=model.embed(self.values))
+        """The same with the embedding by another model of the same recipe."""
+        operator = model.operator(self.shape, self.spectrum)
+        return replace(self, embedded=model.embed(self.values, operator))
 
     def is_filling(self) -> BoolArray:
         """Whether each vertex of the repaired mesh fills a hole, (r,)."""
