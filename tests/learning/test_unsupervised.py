@@ -7,6 +7,7 @@ import pytest
 from esd.common import InputError
 from esd.datasets.collection import Collection, Shape
 from esd.datasets.deformation import deformed
+from esd.learning.diffusion import diffusion_network
 from esd.learning.model import load_model, save_model
 from esd.learning.presets import Training, preset
 from esd.learning.teacher import FirstMaps
@@ -16,6 +17,7 @@ from esd.nearest import nearest
 from knobbed import RECIPE, knobbed, knobbed_shape, truth
 
 pytest.importorskip("torch", reason="training needs the extra `train`")
+from esd.learning.diffusion_torch import seeded_layers
 from esd.learning.unsupervised import Teaching, train_unsupervised
 
 TRAINING = Training(RECIPE, hidden=(64,), outputs=16, limit=8.0, dropout=0.2, loss="infonce")
@@ -81,11 +83,15 @@ def test_models_are_saved_with_their_curve_and_can_be_started_from(unregistered,
     assert model.card["validation_shapes"] == ["s7"]
     save_model(model, tmp_path / "model")
     start = load_model(tmp_path / "model")
+    width = TRAINING.recipe.width
+    network = diffusion_network(seeded_layers(width, 8, 6, 4, 1, seed=0).arrays(), inputs=width)
+    start = replace(start, diffusion=network)
     slow = replace(short, learning_rate=1e-9)
     other = train_unsupervised(unregistered, TRAINING, teaching=slow, start=start)
     for first, second in zip(start.layers, other.layers, strict=True):
         np.testing.assert_allclose(first.weight, second.weight, atol=1e-7)
     assert other.card["start"] == "model"
+    assert other.diffusion is network  # stays beside the layers
     with pytest.raises(InputError, match="cannot start from 'model'"):
         train_unsupervised(unregistered, preset("oriented"), teaching=short, start=start)
 

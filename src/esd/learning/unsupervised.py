@@ -173,7 +173,8 @@ def train_unsupervised(
     validation
         Shapes that are not trained on. Nothing depends on them but the curve.
     start
-        A model of the same recipe and network from whose weights the training starts.
+        A model of the same recipe and layers from whose weights the training starts. A network
+        that it has beside its layers stays as it is.
     first_maps
         Gives maps between the samples, from which the network learns during the warm-up; see
         `esd.matching.first_maps`. Without, it learns from copies of each shape alone meanwhile.
@@ -290,6 +291,7 @@ def train_unsupervised(
         layers=layers_of(run.network),
         limit=training.limit,
         unit_length=True,
+        diffusion=None if start is None else start.diffusion,
         card=card,
     )
 
