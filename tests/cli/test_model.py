@@ -16,8 +16,9 @@ def test_what_a_model_is_made_of_takes_three_lines(run_here, tmp_path, name):
     heads = [line.partition(":")[0] for line in shown if line.startswith("- ")]
     assert heads[:3] == [
         "- Descriptors",
-        "- Network" if load_model(name).diffusion else "- Layers",
+        "- Layers" if load_model(name).layers else "- Network",
         "- Training",
     ]
-    assert all(head.startswith(("- On ", "- Trained by a prototype")) for head in heads[3:])
+    others = ("- On ", "- Trained by a prototype", "- The network beside the layers")
+    assert all(head.startswith(others) for head in heads[3:])
     assert max(map(len, shown)) < 250  # the names of hundred shapes are not listed

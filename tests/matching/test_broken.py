@@ -24,7 +24,7 @@ MODEL = Model("hks", RECIPE, np.zeros(30), np.ones(30))
 @pytest.fixture(autouse=True)
 def _few_vertices_around_pieces(monkeypatch):
     """A coarser surface around pieces, which takes a tenth of the time."""
-    monkeypatch.setattr("esd.mesh.repair.repair._AROUND", 1500)
+    monkeypatch.setattr("esd.mesh.repair.repair._AROUND", 2000)
 
 
 def share_of_own(blob: Mesh, broken, original, **options) -> float:
