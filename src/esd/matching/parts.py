@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import product
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -35,7 +34,6 @@ MISFITS = 0.6
 _OPEN = 0.15  # length of all boundaries, in √area, beyond which something may be missing
 _OTHER_UNITS = 0.25  # consistent share below which `auto` gives up that units are the same
 _LARGER = (1.0, 1.25, 1.6, 2.0)  # area of the whole, times that of the larger part
-_UNLIKE = 0.5  # difference of the logarithms of the areas of two wholes, of both of which are parts
 _OTHERS = (0.64, 0.8, 1.0, 1.25, 1.56)  # area of a part's own whole, times that of another
 _MEASURED = 2  # times at most that the size is corrected by what anchors measure
 _EQUAL = 0.03  # relative difference of areas that is not corrected
@@ -83,8 +81,8 @@ def best_part_map(
     """The map between shapes of which one or both are parts; None where neither is open.
 
     Where one is whole and of the same unit, the whole of the other has from two thirds to one and
-    a half times its area. Where both are open, the wholes are larger than either, and several sizes
-    of each are tried; where units differ, several shares that an open shape could be of its whole.
+    a half times its area. Where both are open, the whole is larger than either, and several sizes
+    are tried; where units differ, several shares that an open shape could be of its whole.
     Where most is consistent and distances between anchors agree most, see `esd.matching.anchors`,
     sizes are corrected by how much longer these are on one of the shapes. Which of all is right,
     the deformations tell.
@@ -177,12 +175,7 @@ def _wholes(
     """
     is_plausible = True
     if all(is_open):
-        sizes = [max(areas) * factor for factor in _LARGER]
-        alike = [
-            (one, other)
-            for one, other in product(sizes, sizes)
-            if abs(np.log(one / other)) < _UNLIKE
-        ]
+        alike = [(max(areas) * factor, max(areas) * factor) for factor in _LARGER]
     else:
         place = is_open.index(False)
         is_plausible = _PLAUSIBLE[0] < areas[1 - place] / areas[place] < _PLAUSIBLE[1]
