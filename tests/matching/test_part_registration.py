@@ -51,6 +51,15 @@ def test_what_the_other_lacks_is_told_from_what_it_has():
     assert right[kept & is_shared].mean() > 0.9
 
 
+def test_maps_whose_ends_are_little_alike_and_those_to_small_parts_are_doubtful_at_best(found):
+    best = best_registered([found])
+    assert best.probabilities()[1].max() > 0.9
+    target = best.target
+    unlike = np.random.default_rng(0).permutation(target.embedded)
+    for other in (replace(target, embedded=unlike), replace(target, ways=0.5 * target.ways)):
+        assert replace(best, target=other).probabilities()[1].max() < 0.9
+
+
 def test_a_map_that_is_turned_is_replaced_by_another(found):
     turned = other_part_maps([found], count=1)[0]
     assert off(turned) > 0.2

@@ -86,6 +86,11 @@ _CLEAR, _ALONE = 0.25, 0.2  # margin beyond which it says no more, and that wher
 _UNCLEAR = 0.1  # below which another map may as well be right, and nothing here
 _DISAGREE, _AGREE, _AT_MOST = 0.6, 0.15, 0.75  # that it is right all the same: 0 for that share of
 # samples that agree, rising to 1 over so much more, but no more than that
+# mean logarithm of the distance of matched embeddings beyond which a map is not sure: with a whole
+# shape, and between two parts
+_UNLIKE, _UNLIKE_PARTS = -0.35, -0.75
+_NARROW = 1.1  # diameter of a target, in √area of the whole, of which 5 % are no more than errors
+_UNSURE = 0.89  # factor of the probability of being right there: at best doubtful
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -261,8 +266,26 @@ class PartMap:
             # times the probability that no other map is the right one
             agreed = min((share - _DISAGREE) / _AGREE, _AT_MOST)
             right = max(min(margin / _UNCLEAR, 1.0), agreed) * _logistic(columns, _RIGHT_LYING)
+            if self._is_unsure(evidence[:, 1], has, of_parts=self.fit.of_parts):
+                right *= _UNSURE
         matched = self.forward >= 0
         return np.where(matched, has, 0.0), np.where(matched, right, 0.0)
+
+    def _is_unsure(self, apart: FloatArray, has: FloatArray, *, of_parts: bool) -> bool:
+        """Whether what is matched is little alike, or the target is small beside usual errors.
+
+        Parameters
+        ----------
+        apart : (n,)
+            Logarithm of the distance of the matched embeddings.
+        has : (n,)
+            Probability of a counterpart.
+        """
+        kept = self.source.spectrum.mass * (has > 0.5)
+        unlike = _UNLIKE_PARTS if of_parts else _UNLIKE
+        ways = self.target.ways
+        diameter = np.max(ways, initial=0.0, where=ways < _BEYOND / 2)
+        return bool(kept @ (apart - unlike) > 0 or diameter < _NARROW)
 
 
 def part_map(source: Part, target: Part, *, landmarks: IntArray | None = None) -> PartMap:
