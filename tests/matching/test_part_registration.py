@@ -51,13 +51,15 @@ def test_what_the_other_lacks_is_told_from_what_it_has():
     assert right[kept & is_shared].mean() > 0.9
 
 
-def test_maps_whose_ends_are_little_alike_and_those_to_small_parts_are_doubtful_at_best(found):
+def test_maps_that_are_little_alike_or_have_a_close_rival_or_a_small_target_are_doubtful(found):
     best = best_registered([found])
     assert best.probabilities()[1].max() > 0.9
     target = best.target
     unlike = np.random.default_rng(0).permutation(target.embedded)
     for other in (replace(target, embedded=unlike), replace(target, ways=0.5 * target.ways)):
         assert replace(best, target=other).probabilities()[1].max() < 0.9
+    close = replace(best, fit=replace(best.fit, margin=0.14))
+    assert close.probabilities()[1].max() < 0.9
 
 
 def test_a_map_that_is_turned_is_replaced_by_another(found):

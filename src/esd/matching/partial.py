@@ -90,6 +90,7 @@ _DISAGREE, _AGREE, _AT_MOST = 0.6, 0.15, 0.75  # that it is right all the same: 
 # shape, and between two parts
 _UNLIKE, _UNLIKE_PARTS = -0.35, -0.75
 _NARROW = 1.1  # diameter of a target, in √area of the whole, of which 5 % are no more than errors
+_CLOSE = 0.15  # margin below which a map with a whole shape is not sure
 _UNSURE = 0.89  # factor of the probability of being right there: at best doubtful
 
 
@@ -266,7 +267,8 @@ class PartMap:
             # times the probability that no other map is the right one
             agreed = min((share - _DISAGREE) / _AGREE, _AT_MOST)
             right = max(min(margin / _UNCLEAR, 1.0), agreed) * _logistic(columns, _RIGHT_LYING)
-            if self._is_unsure(evidence[:, 1], has, of_parts=self.fit.of_parts):
+            is_close = margin < _CLOSE and not self.fit.of_parts
+            if is_close or self._is_unsure(evidence[:, 1], has, of_parts=self.fit.of_parts):
                 right *= _UNSURE
         matched = self.forward >= 0
         return np.where(matched, has, 0.0), np.where(matched, right, 0.0)
