@@ -72,13 +72,20 @@ class DiffusionNetwork:
         return sum(name.endswith(".time") for name in self.weights)
 
     def __call__(self, values: FloatArray, surface: Surface) -> FloatArray:
-        """Features (n, outputs) of standardised descriptors (n, inputs) of all vertices."""
+        """Embedding (n, outputs) of standardised descriptors (n, inputs) of all vertices."""
+        return self.diffused(self.features(values), surface)
+
+    def features(self, values: FloatArray) -> FloatArray:
+        """Features (n, width) of standardised descriptors (n, inputs), of each by itself."""
+        values = np.maximum(self._layer("first", values.astype(np.float32, copy=False)), 0)
+        return self._layer("second", values)
+
+    def diffused(self, values: FloatArray, surface: Surface) -> FloatArray:
+        """Embedding (n, outputs) of the `features` (n, width) of all vertices."""
         spectrum = surface.spectrum
         vectors = spectrum.eigenvectors.astype(np.float32)
         weighted = (vectors * spectrum.mass[:, None].astype(np.float32)).T
         gradient = surface.gradient.astype(np.complex64)
-        values = np.maximum(self._layer("first", values.astype(np.float32)), 0)
-        values = self._layer("second", values)
         for block in range(self.block_count):
             normal = self._normalised(f"{block}.norm", values)
             times = np.exp(self.weights[f"{block}.time"])

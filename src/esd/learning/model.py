@@ -180,20 +180,24 @@ class Model:
             raise InputError(
                 f"'{self.name}' embeds all vertices of a shape together, see `embed_mesh`."
             )
-        if self.is_pointwise and len(values) > _ROWS:
-            parts = range(0, len(values), _ROWS)
-            return np.concatenate([self.embed(values[i : i + _ROWS]) for i in parts])
         values = values.astype(np.result_type(values, np.float32), copy=False)
         mean, deviation = (
             each.astype(values.dtype, copy=False) for each in (self.mean, self.deviation)
         )
-        values = standardised(values, mean, deviation, limit=self.limit)
-        results = []
-        if self.layers or self.diffusion is None:
-            results.append(self._after_layers(values, operator))
+        rows = _ROWS if self.patches is None else max(len(values), 1)
+        layered, features, lost = [], [], []
+        for start in range(0, max(len(values), 1), rows):
+            part = values[start : start + rows]
+            part = standardised(part, mean, deviation, limit=self.limit)
+            if self.layers or self.diffusion is None:
+                layered.append(self._after_layers(part, operator))
+            if self.diffusion is not None:
+                features.append(self.diffusion.features(np.nan_to_num(part)))
+                lost.append(np.isnan(part).any(axis=1))
+        results = [np.concatenate(layered)] if layered else []
         if self.diffusion is not None and isinstance(operator, Surface):
-            results.append(self.diffusion(np.nan_to_num(values), operator))
-            results[-1][np.isnan(values).any(axis=1)] = np.nan
+            results.append(self.diffusion.diffused(np.concatenate(features), operator))
+            results[-1][np.concatenate(lost)] = np.nan
         if self.unit_length:
             for result in results:
                 result /= np.sqrt(len(results)) * np.linalg.norm(result, axis=1, keepdims=True)
