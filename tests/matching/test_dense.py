@@ -47,6 +47,25 @@ def test_a_right_map_of_copies_is_right_on_the_dense_meshes(blob):
     assert (back.target_index[:-1] == np.arange(8192)).mean() > 0.9
 
 
+@pytest.mark.parametrize("bend", [0.0, 0.1])
+def test_meshes_that_an_affine_motion_makes_equal_are_matched_exactly(blob, bend, monkeypatch):
+    dense = subdivide(subdivide(blob))
+    other, rank = shuffled(dense)
+    places = other.vertices[:, [1, 2, 0]] * [2.0, 1.0, -1.5] + 3
+    places[:, 0] += bend * np.sin(10 * places[:, 1])
+    other = Mesh(places, other.faces[:, ::-1])  # a mirror image, sheared if not bent
+    copies = coarse_copy(dense, 1000), coarse_copy(other, 1200)
+    near = cKDTree(other.vertices[rank]).query(copies[1].mesh.vertices)[1]
+    index = cKDTree(dense.vertices[near]).query(copies[0].mesh.vertices)[1]
+    image = closest_points(copies[1].mesh, copies[1].mesh.vertices[index], index)
+    match = Correspondence(index, np.zeros(len(index)), np.ones(len(index)))
+    found = carried_to_dense(match, image, *copies).target_index
+    monkeypatch.setattr("esd.matching.dense._CONGRUENT", 0.0)
+    by_copies = carried_to_dense(match, image, *copies).target_index
+    assert 0.2 < (by_copies == rank).mean() < 0.95
+    np.testing.assert_array_equal(found, by_copies if bend else rank)
+
+
 def test_a_body_is_found_again_by_way_of_its_copies():
     body = bodies(remeshed=True).shapes[0].mesh()
     other, _ = shuffled(body)

@@ -7,12 +7,15 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import KDTree
 
-from esd.common import FloatArray
+from esd.common import FloatArray, IntArray
 from esd.matching.correspondence import Correspondence
 from esd.mesh.geometry import surface_area, vertex_normals
 from esd.mesh.surface import SurfacePoints, interpolated
 from esd.spectral.coarse import MeshCopy
 
+_MOTIONS = 3  # affine fits, each to the nearest vertices after the one before
+_CONGRUENT = 0.3  # of the distance between vertices, within which most of them then lie
+_MOST = 0.9
 _TORN = 5.0  # times its own size, beyond which the image of a face lies across a tear of the map
 
 
@@ -26,7 +29,8 @@ def carried_to_dense(
 
     A vertex of the dense source lies in a face of its copy. The images of the corners of that face
     are interpolated, and the dense target vertex nearest to there, in place and normal, is its
-    match. Where the map is torn at that face, the image of the nearest corner is taken.
+    match. Where the map is torn at that face, the image of the nearest corner is taken. Where an
+    affine motion lays one dense mesh on the other, its nearest vertices are.
 
     Parameters
     ----------
@@ -45,7 +49,11 @@ def carried_to_dense(
     candidates[:, :3] = target.vertices[reached]
     index = np.full(len(source.points.face), -1, dtype=np.int64)
     sought = source.carried(there)[known]
-    index[known] = reached[KDTree(candidates).query(sought, workers=-1)[1]]
+    near = np.asarray(KDTree(candidates).query(sought, workers=-1)[1])
+    places, normals = candidates[:, :3], candidates[:, 3:] / reach
+    spacing = reach * np.sqrt(len(target.mesh.vertices) / len(reached))
+    near = _laid_on(source.vertices[known], places, normals, near, spacing=spacing, reach=reach)
+    index[known] = reached[near]
     distance, confidence = (source.carried(x) for x in (match.distance, match.confidence))
     return Correspondence(
         index,
@@ -53,6 +61,37 @@ def carried_to_dense(
         np.where(index >= 0, confidence, 0.0),
         match.judgement,
     )
+
+
+def _laid_on(
+    source: FloatArray,
+    target: FloatArray,
+    normals: FloatArray,
+    index: IntArray,
+    *,
+    spacing: float,
+    reach: float,
+) -> IntArray:
+    """The nearest target vertices, (n,), after the affine motion that a map is closest to.
+
+    Where that does not lay the source, (n, 3), on the target's surface, or leads elsewhere than the
+    map, the map itself.
+
+    Parameters
+    ----------
+    target, normals : (m, 3)
+    spacing, reach
+        The distance between vertices of the target, and of its copy.
+    """
+    rows = np.hstack([source, np.ones((len(source), 1))])
+    tree, found = KDTree(target), index
+    for _ in range(_MOTIONS):
+        moved = rows @ np.linalg.lstsq(rows, target[found], rcond=None)[0]
+        found = np.asarray(tree.query(moved, workers=-1)[1])
+    height = np.abs(np.einsum("ij,ij->i", moved - target[found], normals[found]))
+    away = np.linalg.norm(target[found] - target[index], axis=1)
+    is_near = np.quantile(height, _MOST) < _CONGRUENT * spacing and np.quantile(away, _MOST) < reach
+    return found if is_near else index
 
 
 def _not_across_tears(source: MeshCopy, there: FloatArray, area: float) -> MeshCopy:
