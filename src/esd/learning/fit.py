@@ -98,6 +98,7 @@ def fit(
         checkpoint=checkpoint,
         device=device,
         workers=workers,
+        cache=cache,
         on_shape=on_shape,
         on_progress=lambda each: on_progress(
             replace(each, step=before + each.step, steps=before + each.steps)

@@ -40,7 +40,7 @@ from esd.mesh.geometry import surface_area
 from esd.mesh.mesh import Mesh
 from esd.mesh.topology import oriented_outward
 from esd.parallel import THIS_PROCESS, Workers, outcomes, shared_folder
-from esd.spectral.cache import content_key
+from esd.spectral.cache import Cache, content_key
 
 _log = logging.getLogger(__name__)
 
@@ -110,6 +110,7 @@ def train_on_parts(
     checkpoint: str | os.PathLike[str] | None = None,
     device: str = "cpu",
     workers: Workers = THIS_PROCESS,
+    cache: Cache | None = None,
     on_shape: Callable[[], None] = lambda: None,
     on_progress: Callable[[Progress], None] = lambda _: None,
 ) -> Model:
@@ -147,6 +148,8 @@ def train_on_parts(
         Where the network is trained, see `usable_device`.
     workers
         What describes the parts; training itself runs in this process.
+    cache
+        Where spectra of whole shapes are looked up and kept.
     on_shape, on_progress
         Called after all parts of a shape are described, and after each step.
 
@@ -169,6 +172,7 @@ def train_on_parts(
             seed=seed,
             folder=folder,
             workers=workers,
+            cache=cache,
             on_shape=on_shape,
         )
         data = described(with_remeshings(collection, training.remeshings, seed=seed))
@@ -280,10 +284,11 @@ def _described(
     seed: int,
     folder: Path,
     workers: Workers,
+    cache: Cache | None,
     on_shape: Callable[[], None],
 ) -> _Parts:
     """All parts of a collection, described in files of a folder."""
-    describe = partial(_describe, recipe=recipe, seed=seed, folder=folder)
+    describe = partial(_describe, recipe=recipe, seed=seed, folder=folder, cache=cache)
     found: list[dict[str, npt.NDArray[Any]]] = [{}] * len(collection.shapes)
     for outcome in outcomes(describe, enumerate(collection.shapes), workers=workers):
         place, shape = outcome.job
@@ -306,7 +311,7 @@ def _described(
 
 
 def _describe(
-    job: tuple[int, Shape], *, recipe: Recipe, seed: int, folder: Path
+    job: tuple[int, Shape], *, recipe: Recipe, seed: int, folder: Path, cache: Cache | None
 ) -> dict[str, npt.NDArray[Any]]:
     """Write the parts of a shape to files of their own; their names, points, and moments.
 
@@ -329,14 +334,14 @@ def _describe(
     for number, kind in enumerate(["whole", *(PARTS if recipe.is_of_parts else ())]):
         cut, spread = int(generator.integers(2**30)), generator.standard_normal()
         if kind == "whole":
-            own, arrays = index, _arrays(mesh, recipe, 1.0)
+            own, arrays = index, _arrays(mesh, recipe, 1.0, cache)
         else:
             try:
                 made = part_of(mesh, kind, seed=cut)
                 if len(made.mesh.vertices) < _FEWEST_VERTICES * len(mesh.vertices):
                     continue
                 share = surface_area(made.mesh) / (area * np.exp(_SPREAD * spread))
-                arrays = _arrays(made.mesh, recipe, share)
+                arrays = _arrays(made.mesh, recipe, share, None)
             except InputError as error:  # too little of it is left
                 _log.info("'%s', %s, is left out: %s", shape.name, kind, error)
                 continue
@@ -359,12 +364,14 @@ def _write(path: Path, arrays: dict[str, npt.NDArray[Any]]) -> None:
         np.savez(file, **arrays)  # type: ignore[arg-type]
 
 
-def _arrays(part: Mesh, recipe: Recipe, share: float) -> dict[str, npt.NDArray[Any]]:
+def _arrays(
+    part: Mesh, recipe: Recipe, share: float, cache: Cache | None
+) -> dict[str, npt.NDArray[Any]]:
     """What a training takes of a part that has a share of the whole's area.
 
     Descriptors are rounded to 16 bits, far finer than they are known, for the room on the disk.
     """
-    spectrum = recipe_spectrum(recipe, part).with_area(share)
+    spectrum = recipe_spectrum(recipe, part, cache=cache).with_area(share)
     values = spectrum_descriptors(recipe, part, spectrum, single=True)
     surface = surface_of(oriented_outward(part), spectrum)
     gradient = surface.gradient.tocsr()
