@@ -46,7 +46,12 @@ def train(
         int, typer.Option(min=0, help="Instead: number of subjects held out, drawn by the seed.")
     ] = 0,
     seed: Annotated[int, typer.Option(min=0, help="Of all that is random.")] = 0,
-    steps: Annotated[int | None, typer.Option(min=1, help="Instead of the preset's.")] = None,
+    steps: Annotated[
+        int | None,
+        typer.Option(
+            min=1, help="Instead of the preset's; layers beside a network get as many times more."
+        ),
+    ] = None,
     standardise: Annotated[
         bool, typer.Option(help="Standardise the descriptors over the training shapes.")
     ] = True,
