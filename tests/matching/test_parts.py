@@ -1,5 +1,6 @@
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from esd.datasets.bodies import bodies
 from esd.datasets.parts import Perturbed, part_of
 from esd.learning.model import load_model
 from esd.matching.features import Features, shape_features
-from esd.matching.match import match
+from esd.matching.match import _fits, match
 from esd.matching.parts import best_part_map, is_calibrated, open_mesh
 from esd.mesh.geodesics import geodesic_graph
 from esd.mesh.geometry import surface_area
@@ -150,6 +151,18 @@ def test_only_the_bundled_model_of_parts_is_calibrated():
     found = match(cut().mesh, body("s10_p01")[0], model=trained, candidates=["part"])
     assert right(found.target_index, points_of_cut(), points, body("s10_p01")[0]) > 0.9
     assert found.judgement.verdict == "doubtful"
+
+
+@pytest.mark.parametrize(
+    ("lost", "uncovered", "accuracy", "fits"),
+    [(0.0, 0.01, 0.9, True), (0.02, 0.01, 0.9, False), (0.0, 0.01, 0.3, False)],
+)
+def test_a_map_fits_that_leaves_nothing_and_may_be_right(
+    lost, uncovered, accuracy, fits, monkeypatch
+):
+    monkeypatch.setattr("esd.matching.match.accuracy", lambda evidence: accuracy)
+    choice = SimpleNamespace(evidence=SimpleNamespace(lost=lost, uncovered=uncovered))
+    assert _fits(choice) == fits
 
 
 def test_closed_meshes_pinholes_and_several_pieces_are_no_parts():

@@ -55,6 +55,7 @@ _NOT_CALIBRATED = 0.89  # factor of the confidence by another model of parts: at
 _AS_CONSISTENT = 0.02  # share by which maps between parts may be less consistent than others
 _LEFT = 0.02  # sum of the shares that are lost there and back, and uncovered, below which nothing
 # seems to be missing; teeth, open as they are, have 0.007 at most, people cut by a tenth 0.045
+_LIKELY = 0.5  # and expected accuracy below which it may all the same
 _SURE = 0.9  # expected accuracy beyond which a mirror image is not tried
 _CLEARLY = 6.3  # least difference of costs by which a mirror image is taken; hands have 8 or more
 _SYMMETRIC = 0.85  # expected accuracy of the map from the mirror image of a shape to itself, beyond
@@ -394,8 +395,9 @@ def _on_shapes(index: IntArray, source: Features, target: Features) -> IntArray:
 
 
 def _fits(choice: Choice) -> bool:
-    """Whether a map between two shapes leaves nothing of either without a counterpart."""
-    return choice.evidence.lost + choice.evidence.uncovered < _LEFT
+    """Whether a map leaves nothing of either shape without a counterpart, and may be right."""
+    found = choice.evidence
+    return found.lost + found.uncovered < _LEFT and accuracy(found) >= _LIKELY
 
 
 def _mirror_chosen(
