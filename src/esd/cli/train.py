@@ -49,7 +49,8 @@ def train(
     steps: Annotated[
         int | None,
         typer.Option(
-            min=1, help="Instead of the preset's; layers beside a network get as many times more."
+            min=1,
+            help="Instead of the preset's; those of layers beside a network change in proportion.",
         ),
     ] = None,
     standardise: Annotated[
