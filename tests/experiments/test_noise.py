@@ -38,6 +38,8 @@ def outcome_and_setting(tmp_path_factory):
     collection = Collection("copies", shapes, ())
     patch = pytest.MonkeyPatch()
     patch.setattr(noise, "_QUICK_PAIRS", 1)
+    # maps between parts, tested elsewhere, would take most of the time
+    patch.setattr("esd.matching.match._fits", lambda _: True)
     patch.setattr(
         noise,
         "PERTURBATIONS",
