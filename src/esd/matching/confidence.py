@@ -24,7 +24,7 @@ Verdict: TypeAlias = Literal["good", "doubtful", "failed", "mirrored"]
 
 _OFFSET = 0.01  # added to lengths over √area before the logarithm; about half of an edge
 _LOGISTIC = (-5.33, -1.47, -0.82)  # constant, and factors of the two logarithms of `evidence`
-_JUDGED = (-7.799, -1.463, -0.514, 1.122)  # and the factor of the logit of the accuracy
+_JUDGED = (-7.436, -1.058, -0.858, 0.999)  # and the factor of the logit of the accuracy
 _ORIENTED = 0.3  # orientation that a map needs to be good; of mirrored ones below the negative
 _WORTH_SAYING = 0.01  # share of a shape that is unmatched
 _SAME_UNIT = 0.25  # logarithm of a ratio of lengths within which one unit is taken: people differ
