@@ -153,11 +153,11 @@ def _supervised(
     first = None if start is None else load_model(start)
     with_copies = len(chosen.shapes) * (1 + training.remeshings)
     shapes = 0 if chosen.store else with_copies + (len(held.shapes) if held else 0)
-    beside = training.beside  # which describes the shapes for itself
-    steps = training.steps + (0 if beside is None else beside.steps)
+    if training.beside is not None:
+        shapes *= 2  # the layers beside a network have them described for themselves
     with (
-        progress("describing", shapes if beside is None else 2 * shapes) as described,
-        progress("training", steps) as trained,
+        progress("describing", shapes) as described,
+        progress("training", training.total_steps) as trained,
     ):
         return fit(
             chosen,

@@ -75,18 +75,16 @@ def fit(
         return learn(training, checkpoint=checkpoint, on_progress=on_progress)
     from esd.learning.part_training import check_surfaces, train_on_parts
 
-    check_surfaces(collection, training, seed=seed, validation=validation, start=start)
-    beside, layers, kept, before = training.beside, None, None, 0
+    beside, layers, kept, total = training.beside, None, None, training.total_steps
     if beside is not None:
+        check_surfaces(collection, training, seed=seed, validation=validation, start=start)
         # kept until the network is trained, so that the layers are not trained again
         kept = None if checkpoint is None else Path(f"{checkpoint}.layers")
-        before = beside.steps
-        steps = before + training.steps
         layers = learn(
             beside,
             checkpoint=kept,
             keeps_checkpoint=True,
-            on_progress=lambda each: on_progress(replace(each, steps=steps)),
+            on_progress=lambda each: on_progress(replace(each, steps=total)),
         )
     network = train_on_parts(
         collection,
@@ -101,7 +99,7 @@ def fit(
         cache=cache,
         on_shape=on_shape,
         on_progress=lambda each: on_progress(
-            replace(each, step=before + each.step, steps=before + each.steps)
+            replace(each, step=total - training.steps + each.step, steps=total)
         ),
     )
     if layers is None:

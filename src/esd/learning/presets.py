@@ -108,6 +108,11 @@ class Training:
             steps=self.layer_steps * self.steps,
         )
 
+    @property
+    def total_steps(self) -> int:
+        """Number of steps of the network and of the layers beside it."""
+        return (1 + self.layer_steps) * self.steps
+
 
 # every seventh scale of HKS; energies of WKS that other triangles of a surface change little
 _COLUMNS = {"hks": range(0, 100, 7), "wks": range(0, 85, 6)}

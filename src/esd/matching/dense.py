@@ -16,6 +16,7 @@ from esd.spectral.coarse import MeshCopy
 _MOTIONS = 3  # affine fits, each to the nearest vertices after the one before
 _CONGRUENT = 0.3  # of the distance between vertices, within which most of them then lie
 _MOST = 0.9
+_BEYOND = 3.0  # times the distance between vertices of the copy, a motion far from the map
 _TORN = 5.0  # times its own size, beyond which the image of a face lies across a tear of the map
 
 
@@ -84,9 +85,16 @@ def _laid_on(
         The distance between vertices of the target, and of its copy.
     """
     rows = np.hstack([source, np.ones((len(source), 1))])
-    tree, found = KDTree(target), index
+
+    def moved_by(found: IntArray) -> FloatArray:
+        return rows @ np.linalg.lstsq(rows, target[found], rcond=None)[0]
+
+    moved, found = moved_by(index), index
+    if np.quantile(np.linalg.norm(moved - target[index], axis=1), _MOST) > _BEYOND * reach:
+        return index  # before all vertices are searched
+    tree = KDTree(target)
     for _ in range(_MOTIONS):
-        moved = rows @ np.linalg.lstsq(rows, target[found], rcond=None)[0]
+        moved = moved_by(found)
         found = np.asarray(tree.query(moved, workers=-1)[1])
     height = np.abs(np.einsum("ij,ij->i", moved - target[found], normals[found]))
     away = np.linalg.norm(target[found] - target[index], axis=1)
