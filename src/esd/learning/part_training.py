@@ -248,7 +248,7 @@ def _check_start(start: Model, training: Training) -> None:
     if start.recipe.to_json() != training.recipe.to_json() or shapes != needed:
         raise InputError(
             f"The training cannot start from '{start.name}': its descriptors or its layers differ "
-            "from the preset's. Start from 'partial', or from a model of the same preset."
+            "from the preset's. Start from a model of the same preset."
         )
 
 
