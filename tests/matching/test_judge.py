@@ -44,3 +44,16 @@ def test_a_reflected_map_turns_the_surface_over(pair):
     candidate = extrinsic_candidate(posed, replace(shapes[0].posed))
     found = evidence(shapes[0], shapes[0], candidate, pair_descriptors(shapes[0], shapes[0]))
     assert found.orientation < 0
+
+
+def test_surfaces_that_an_affine_motion_brings_onto_each_other_need_no_known_class(pair):
+    shapes = tuple(sampled(features) for features in pair)
+    turn = np.array([[0, 1, 0], [0, 0, 1], [1, 0, 0]])
+    moved = shapes[0].posed.moved(turn.T.astype(float), np.zeros(3))
+    found = evidence(
+        *shapes, extrinsic_candidate(moved, shapes[1].posed), pair_descriptors(*shapes)
+    )
+    unlike = replace(found, embeddings=0.45, residual=0.005, uncovered=0.0)
+    assert accuracy(unlike) >= 0.97
+    for worse in ({"residual": 0.03}, {"uncovered": 0.2}, {"embeddings": 1.3}, {"normals": 0.5}):
+        assert accuracy(replace(unlike, **worse)) < 0.97
