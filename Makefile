@@ -9,9 +9,9 @@ SEED ?= 1
 demo: .venv/demo
 	$(BIN)/python examples/demo.py
 
-# with coverage and its floor, see pyproject.toml
+# with coverage and its floor, see pyproject.toml; a process for each core, each of one thread
 test: .venv/dev
-	$(BIN)/pytest --numprocesses auto --cov --cov-report=
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/pytest --numprocesses auto --cov --cov-report=
 
 check: .venv/dev
 	$(BIN)/ruff check .
