@@ -17,7 +17,7 @@ _LOST = 0.3  # in √area, at which distances are cut off
 _MOSTLY = 0.5  # share of lost ways beyond which a map is beyond what was seen
 _FAR = 0.08  # in √area, beyond which a way there and back is lost
 # evidence of surfaces that an affine motion brings onto each other, and the accuracy of such maps
-_SAME = {"residual": 0.012, "uncovered": 0.01, "embeddings": 0.5}  # no more
+_SAME = {"residual": 0.012, "uncovered": 0.01, "embeddings": 0.9}  # no more
 _SAME_NORMALS = 0.9  # no less
 _SAME_ACCURACY = 0.97
 
