@@ -28,3 +28,10 @@ def test_the_step_whose_turn_it_is_reports(monkeypatch, capsys):
     lines = capsys.readouterr().err.splitlines()
     assert lines
     assert all(line.startswith("esd: training: 1 of 9, 0 s") for line in lines)
+
+
+def test_of_nothing_to_do_nothing_is_shown(monkeypatch, capsys):
+    monkeypatch.setattr(progress, "SILENCE", 0.05)
+    with progress.progress("describing", 0):
+        time.sleep(0.2)
+    assert capsys.readouterr().err == ""

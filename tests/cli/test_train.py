@@ -3,6 +3,7 @@ import json
 import numpy as np
 import pytest
 
+from esd.cli.train import _in_turn
 from esd.datasets.deformation import deformed
 from esd.mesh.io.meshes import write_mesh
 from esd.mesh.mesh import Mesh
@@ -51,3 +52,12 @@ def test_what_learning_without_correspondences_cannot_do_is_refused(
     done = run("train", shapes, *where, "--preset", "paper-hks", "--start", "default", expect=2)
     assert "--start is for shapes without" in done.stderr
     assert not (tmp_path / "model").exists()
+
+
+def test_bars_are_filled_one_after_the_other():
+    filled = {"layers": [], "none": [], "network": []}
+    totals = {"layers": 6, "none": 0, "network": 3}
+    advance = _in_turn(*((totals[name], filled[name].append) for name in filled))
+    for count in (4, 3, 1, 1):
+        advance(count)
+    assert filled == {"layers": [4, 2], "none": [], "network": [1, 1, 1]}

@@ -24,9 +24,10 @@ def progress(what: str, total: int | None = None) -> Iterator[Callable[[int], No
     what
         What is done, such as `matching`.
     total
-        How many things there are to do; None where they cannot be counted.
+        How many things there are to do; None where they cannot be counted. Of none, nothing is
+        shown.
     """
-    if is_quiet():
+    if is_quiet() or total == 0:
         yield lambda _: None
     elif sys.stderr.isatty():
         with _bar(what, total) as advance:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -153,11 +154,14 @@ def _supervised(
     first = None if start is None else load_model(start)
     with_copies = len(chosen.shapes) * (1 + training.remeshings)
     shapes = 0 if chosen.store else with_copies + (len(held.shapes) if held else 0)
-    if training.beside is not None:
-        shapes *= 2  # the layers beside a network have them described for themselves
+    # layers beside a network come first, and have the shapes described for themselves
+    first_steps = training.total_steps - training.steps
+    first_shapes = shapes if first_steps else 0
     with (
+        progress("describing for the layers", first_shapes) as first_described,
+        progress("training the layers", first_steps) as first_trained,
         progress("describing", shapes) as described,
-        progress("training", training.total_steps) as trained,
+        progress("training", training.steps) as trained,
     ):
         return fit(
             chosen,
@@ -170,8 +174,10 @@ def _supervised(
             device=device,
             workers=EVERY_CORE,
             cache=default_cache(),
-            on_shape=lambda: described(1),
-            on_progress=_since_last(trained),
+            on_shape=partial(_in_turn((first_shapes, first_described), (shapes, described)), 1),
+            on_progress=_since_last(
+                _in_turn((first_steps, first_trained), (training.steps, trained))
+            ),
         )
 
 
@@ -248,6 +254,21 @@ def _unsupervised(
             on_pair=lambda: judged(1),
         )
     return replace(model, card={**model.card, "verdicts": dict(found)})
+
+
+def _in_turn(*bars: tuple[int, Callable[[int], None]]) -> Callable[[int], None]:
+    """What advances several bars, of each its total and how it is advanced, one after the other."""
+    left = [total for total, _ in bars]
+
+    def advance(count: int) -> None:
+        for place, (_, of_bar) in enumerate(bars):
+            done = min(count, left[place])
+            if done:
+                of_bar(done)
+            left[place] -= done
+            count -= done
+
+    return advance
 
 
 def _since_last(advance: Callable[[int], None]) -> Callable[[Any], None]:
