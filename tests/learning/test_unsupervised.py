@@ -112,6 +112,12 @@ def test_known_correspondences_and_broken_shapes_among_others(unregistered):
     assert list(model.card["left_out"]) == ["flat"]
     with pytest.raises(InputError, match=r"2 shapes or more.*got 1 that can be used. 'flat': "):
         train_unsupervised(Collection("one", some[2:]), TRAINING, teaching=short)
+    seen = []
+    with pytest.raises(InputError, match=r"got 1 that can be used\.$"):  # before any is described
+        train_unsupervised(
+            Collection("one", some[:1]), TRAINING, on_shape=lambda: seen.append(True)
+        )
+    assert not seen
     with pytest.raises(InputError, match="takes presets with loss 'infonce'"):
         train_unsupervised(unregistered, preset("paper-hks"))
     with pytest.raises(InputError, match="`seed` must be from 0"):

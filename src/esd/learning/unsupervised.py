@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -218,15 +218,11 @@ def train_unsupervised(
         cache=cache,
         on_shape=on_shape,
     )
+    _check_count(len(collection.shapes), {})
     described = describe(collection, copies=teaching.copies, seed=seed)
     samples, doubles = _without_doubles(described.samples)
     left_out = {**described.failures, **doubles}
-    if len(samples) < _FEWEST_SHAPES:
-        reasons = "".join(f" '{key}': {why}" for key, why in left_out.items())
-        raise InputError(
-            f"Learning without correspondences needs {_FEWEST_SHAPES} shapes or more, and is good "
-            f"from about ten on; got {len(samples)} that can be used.{reasons}"
-        )
+    _check_count(len(samples), left_out)
     if len(samples) < _FEW_SHAPES:
         _log.warning(
             "A model of %d shapes will hardly be good for others; from about ten on it is.",
@@ -294,6 +290,15 @@ def train_unsupervised(
         diffusion=None if start is None else start.diffusion,
         card=card,
     )
+
+
+def _check_count(count: int, left_out: Mapping[str, str]) -> None:
+    if count < _FEWEST_SHAPES:
+        reasons = "".join(f" '{key}': {why}" for key, why in left_out.items())
+        raise InputError(
+            f"Learning without correspondences needs {_FEWEST_SHAPES} shapes or more, and is good "
+            f"from about ten on; got {count} that can be used.{reasons}"
+        )
 
 
 def _without_doubles(
