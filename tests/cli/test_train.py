@@ -1,10 +1,13 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from esd.cli.train import _in_turn
+from esd.cli.train import _default_that_fits, _in_turn
 from esd.datasets.deformation import deformed
+from esd.learning.model import load_model
+from esd.learning.presets import preset
 from esd.mesh.io.meshes import write_mesh
 from esd.mesh.mesh import Mesh
 from esd.mesh.shapes import icosphere
@@ -61,3 +64,12 @@ def test_bars_are_filled_one_after_the_other():
     for count in (4, 3, 1, 1):
         advance(count)
     assert filled == {"layers": [4, 2], "none": [], "network": [1, 1, 1]}
+
+
+def test_a_surface_training_starts_from_the_default_model_unless_it_does_not_fit():
+    surface = preset("surface")
+    start = _default_that_fits(surface)
+    assert start is not None
+    assert start.name == load_model("default").name
+    assert _default_that_fits(preset("partial")) is None
+    assert _default_that_fits(replace(surface, outputs=16)) is None

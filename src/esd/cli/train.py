@@ -66,9 +66,9 @@ def train(
         typer.Option(
             metavar="MODEL",
             help="Model to start from; without correspondences, or of the preset 'surface' or "
-            "'partial'. "
-            "Without correspondences, by default, the default model where it maps the shapes "
-            "better than descriptors do; 'none' for none.",
+            "'partial'. By default 'surface' starts from the network of the default model, and "
+            "training without correspondences from that model where it maps the shapes better "
+            "than descriptors do; 'none' for none.",
         ),
     ] = None,
     force: ForceOption = False,
@@ -151,7 +151,11 @@ def _supervised(
     from esd.parallel import EVERY_CORE
     from esd.spectral.cache import default_cache
 
-    first = None if start is None else load_model(start)
+    first = None
+    if start is None and training.blocks:
+        first = _default_that_fits(training)
+    elif start not in (None, _NO_START):
+        first = load_model(start)
     with_copies = len(chosen.shapes) * (1 + training.remeshings)
     shapes = 0 if chosen.store else with_copies + (len(held.shapes) if held else 0)
     # layers beside a network come first, and have the shapes described for themselves
@@ -179,6 +183,16 @@ def _supervised(
                 _in_turn((first_steps, first_trained), (training.steps, trained))
             ),
         )
+
+
+def _default_that_fits(training: Training) -> Model | None:
+    """The default model, if a network that diffuses features can be trained from its weights."""
+    from esd.learning.model import load_model
+    from esd.learning.part_training import can_start
+    from esd.matching.match import DEFAULT_MODEL
+
+    default = load_model(DEFAULT_MODEL)
+    return default if can_start(default, training) else None
 
 
 def _unsupervised(

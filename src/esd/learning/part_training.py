@@ -240,12 +240,17 @@ def check_surfaces(
         _check_start(start, training)
 
 
-def _check_start(start: Model, training: Training) -> None:
-    """Raise an `InputError` unless a training can start from a model."""
+def can_start(start: Model, training: Training) -> bool:
+    """Whether a training can start from a model: its descriptors and its network are the same."""
     wanted = seeded_layers(*_sizes(training), seed=0).arrays()
     weights = {} if start.diffusion is None else start.diffusion.weights
     shapes, needed = ({n: array.shape for n, array in each.items()} for each in (weights, wanted))
-    if start.recipe.to_json() != training.recipe.to_json() or shapes != needed:
+    return start.recipe.to_json() == training.recipe.to_json() and shapes == needed
+
+
+def _check_start(start: Model, training: Training) -> None:
+    """Raise an `InputError` unless a training can start from a model."""
+    if not can_start(start, training):
         raise InputError(
             f"The training cannot start from '{start.name}': its descriptors or its layers differ "
             "from the preset's. Start from a model of the same preset."
