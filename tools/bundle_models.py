@@ -47,7 +47,7 @@ def default_model(folder: Path, sets: Sequence[str]) -> Model:
     layers, network = (
         fit(
             collection,
-            replace(preset(name), remeshings=0, steps=steps, layer_steps=0),
+            replace(preset(name), remeshings=0, steps=steps),
             name=name,
             checkpoint=folder.with_name(f"{name}.checkpoint"),
             workers=EVERY_CORE,

@@ -4,7 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from esd.cli.train import _default_that_fits, _in_turn
+from esd.cli.train import _default_that_fits
 from esd.datasets.deformation import deformed
 from esd.learning.model import load_model
 from esd.learning.presets import preset
@@ -55,15 +55,6 @@ def test_what_learning_without_correspondences_cannot_do_is_refused(
     done = run("train", shapes, *where, "--preset", "paper-hks", "--start", "default", expect=2)
     assert "--start is for shapes without" in done.stderr
     assert not (tmp_path / "model").exists()
-
-
-def test_bars_are_filled_one_after_the_other():
-    filled = {"layers": [], "none": [], "network": []}
-    totals = {"layers": 6, "none": 0, "network": 3}
-    advance = _in_turn(*((totals[name], filled[name].append) for name in filled))
-    for count in (4, 3, 1, 1):
-        advance(count)
-    assert filled == {"layers": [4, 2], "none": [], "network": [1, 1, 1]}
 
 
 def test_a_surface_training_starts_from_the_default_model_unless_it_does_not_fit():

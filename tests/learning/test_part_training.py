@@ -208,8 +208,7 @@ SURFACE = replace(
 
 
 def test_models_of_whole_surfaces_learn_from_whole_shapes_and_their_copies(two, collection):
-    training = replace(SURFACE, layer_steps=0)
-    models = [fit(two, replace(training, steps=steps)) for steps in (1, 60)]
+    models = [fit(two, replace(SURFACE, steps=steps)) for steps in (1, 60)]
     assert models[1].card["parts"] == 4  # two shapes, and a copy of each
     assert models[1].card["data"] == "copies"
     assert not models[1].layers
@@ -220,43 +219,6 @@ def test_models_of_whole_surfaces_learn_from_whole_shapes_and_their_copies(two, 
         away = target.vertices[index] - target.vertices  # the same triangles
         errors.append(np.linalg.norm(away, axis=1).mean())
     assert errors[1] < 0.75 * errors[0]
-
-
-def test_layers_are_trained_beside_the_network_and_not_again_when_it_resumes(two, tmp_path):
-    training = replace(SURFACE, steps=4, layer_steps=3, validate_every=2)
-    path = tmp_path / "m.checkpoint"
-    reports = []
-    model = fit(two, training, name="m", checkpoint=path, on_progress=reports.append)
-    assert list(tmp_path.iterdir()) == []
-    steps = [(report.step, report.steps) for report in reports]
-    assert steps[-1] == (16, 16)
-    assert steps == sorted(set(steps))
-    assert model.name == "m"
-    assert model.card["training"]["layer_steps"] == 3
-    assert (model.card["steps_done"], model.card["layers"]["steps_done"]) == (4, 12)
-    alone = fit(two, training.beside)
-    assert_equal_models(replace(alone, diffusion=model.diffusion), model)
-    for layer, other in zip(alone.layers, model.layers, strict=True):
-        np.testing.assert_array_equal(layer.weight, other.weight)
-
-    def interrupt(progress):
-        if progress.step == 14:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        fit(two, training, name="m", checkpoint=path, on_progress=interrupt)
-    assert {file.name for file in tmp_path.iterdir()} >= {"m.checkpoint", "m.checkpoint.layers"}
-    again = []
-    resumed = fit(two, training, name="m", checkpoint=path, on_progress=again.append)
-    assert min(report.step for report in again) > 14
-    assert_equal_models(resumed, model)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_what_a_network_cannot_be_trained_on_is_refused_before_its_layers_are(two, monkeypatch):
-    monkeypatch.setattr("esd.learning.train.train", lambda *_, **__: pytest.fail("trained"))
-    with pytest.raises(InputError, match="cannot start from 'partial'"):
-        fit(two, SURFACE, start=load_model("partial"))
 
 
 def test_shapes_that_cannot_be_cut_or_have_nothing_in_common_are_refused(two, blob):

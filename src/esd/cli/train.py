@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -47,13 +46,7 @@ def train(
         int, typer.Option(min=0, help="Instead: number of subjects held out, drawn by the seed.")
     ] = 0,
     seed: Annotated[int, typer.Option(min=0, help="Of all that is random.")] = 0,
-    steps: Annotated[
-        int | None,
-        typer.Option(
-            min=1,
-            help="Instead of the preset's; those of layers beside a network change in proportion.",
-        ),
-    ] = None,
+    steps: Annotated[int | None, typer.Option(min=1, help="Instead of the preset's.")] = None,
     standardise: Annotated[
         bool, typer.Option(help="Standardise the descriptors over the training shapes.")
     ] = True,
@@ -158,12 +151,7 @@ def _supervised(
         first = load_model(start)
     with_copies = len(chosen.shapes) * (1 + training.remeshings)
     shapes = 0 if chosen.store else with_copies + (len(held.shapes) if held else 0)
-    # layers beside a network come first, and have the shapes described for themselves
-    first_steps = training.total_steps - training.steps
-    first_shapes = shapes if first_steps else 0
     with (
-        progress("describing for the layers", first_shapes) as first_described,
-        progress("training the layers", first_steps) as first_trained,
         progress("describing", shapes) as described,
         progress("training", training.steps) as trained,
     ):
@@ -178,10 +166,8 @@ def _supervised(
             device=device,
             workers=EVERY_CORE,
             cache=default_cache(),
-            on_shape=partial(_in_turn((first_shapes, first_described), (shapes, described)), 1),
-            on_progress=_since_last(
-                _in_turn((first_steps, first_trained), (training.steps, trained))
-            ),
+            on_shape=lambda: described(1),
+            on_progress=_since_last(trained),
         )
 
 
@@ -268,21 +254,6 @@ def _unsupervised(
             on_pair=lambda: judged(1),
         )
     return replace(model, card={**model.card, "verdicts": dict(found)})
-
-
-def _in_turn(*bars: tuple[int, Callable[[int], None]]) -> Callable[[int], None]:
-    """What advances several bars, of each its total and how it is advanced, one after the other."""
-    left = [total for total, _ in bars]
-
-    def advance(count: int) -> None:
-        for place, (_, of_bar) in enumerate(bars):
-            done = min(count, left[place])
-            if done:
-                of_bar(done)
-            left[place] -= done
-            count -= done
-
-    return advance
 
 
 def _since_last(advance: Callable[[int], None]) -> Callable[[Any], None]:

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import asdict, replace
-from functools import partial
-from pathlib import Path
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from esd.common import FloatArray
 from esd.datasets.collection import Collection
-from esd.learning.model import Layer, Model, with_diffusion
+from esd.learning.model import Layer, Model
 from esd.learning.osd import optimal_metric, with_knots
 from esd.learning.pairs import draw_pairs
 from esd.learning.presets import Training
@@ -43,9 +41,8 @@ def fit(
     """The model learned from a collection.
 
     By `osd`, by `esd.learning.part_training.train_on_parts` where the training has blocks, or by
-    `esd.learning.train.train`; by the last two, where the network has layers beside it. Only the
-    first does without torch; all parameters, and the errors raised, are those of the others. Only
-    the second starts from a model.
+    `esd.learning.train.train`. Only the first does without torch; all parameters, and the errors
+    raised, are those of the others. Only the second starts from a model.
     """
     if training.loss == "osd":
         return osd(
@@ -58,56 +55,38 @@ def fit(
             cache=cache,
             on_shape=on_shape,
         )
+    if training.blocks:
+        from esd.learning.part_training import train_on_parts
+
+        return train_on_parts(
+            collection,
+            training,
+            name=name,
+            seed=seed,
+            validation=validation,
+            start=start,
+            checkpoint=checkpoint,
+            device=device,
+            workers=workers,
+            cache=cache,
+            on_shape=on_shape,
+            on_progress=on_progress,
+        )
     from esd.learning.train import train
 
-    learn = partial(
-        train,
-        collection,
-        name=name,
-        seed=seed,
-        validation=validation,
-        device=device,
-        workers=workers,
-        cache=cache,
-        on_shape=on_shape,
-    )
-    if not training.blocks:
-        return learn(training, checkpoint=checkpoint, on_progress=on_progress)
-    from esd.learning.part_training import check_surfaces, train_on_parts
-
-    beside, layers, kept, total = training.beside, None, None, training.total_steps
-    if beside is not None:
-        check_surfaces(collection, training, seed=seed, validation=validation, start=start)
-        # kept until the network is trained, so that the layers are not trained again
-        kept = None if checkpoint is None else Path(f"{checkpoint}.layers")
-        layers = learn(
-            beside,
-            checkpoint=kept,
-            keeps_checkpoint=True,
-            on_progress=lambda each: on_progress(replace(each, steps=total)),
-        )
-    network = train_on_parts(
+    return train(
         collection,
         training,
         name=name,
         seed=seed,
         validation=validation,
-        start=start,
         checkpoint=checkpoint,
         device=device,
         workers=workers,
         cache=cache,
         on_shape=on_shape,
-        on_progress=lambda each: on_progress(
-            replace(each, step=total - training.steps + each.step, steps=total)
-        ),
+        on_progress=on_progress,
     )
-    if layers is None:
-        return network
-    if kept is not None:
-        kept.unlink(missing_ok=True)
-    of_layers = {key: layers.card[key] for key in ("steps_done", "validation_loss", "curve")}
-    return replace(with_diffusion(layers, network), card={**network.card, "layers": of_layers})
 
 
 def osd(

@@ -160,8 +160,21 @@ def train_on_parts(
         cannot be described, no two parts have enough points in common, the checkpoint belongs to
         another training, or torch has no such device.
     """
-    check_surfaces(collection, training, seed=seed, validation=validation, start=start)
+    if not training.blocks or len(training.hidden) != 2:
+        raise InputError(
+            "Training on surfaces takes presets with `blocks` and two layers in `hidden`, such as "
+            "'surface' and 'partial'."
+        )
+    stores = [each.store for each in (collection, validation) if each is not None and each.store]
+    if stores:
+        raise InputError(
+            f"'{stores[0]}' is a store, which holds descriptors and neither surfaces nor parts of "
+            "them: train on the data set that it was made of."
+        )
+    if not 0 <= seed <= _LARGEST_SEED:
+        raise InputError(f"`seed` must be from 0 to {_LARGEST_SEED}; got {seed}.")
     if start is not None:
+        _check_start(start, training)
         training = replace(training, learning_rate=_START_RATE * training.learning_rate)
     place = torch.device(usable_device(device))
     path = None if checkpoint is None else Path(checkpoint)
@@ -205,39 +218,6 @@ def train_on_parts(
             "start": None if start is None else start.name,
         },
     )
-
-
-def check_surfaces(
-    collection: Collection,
-    training: Training,
-    *,
-    seed: int = 0,
-    validation: Collection | None = None,
-    start: Model | None = None,
-) -> None:
-    """Refuse what `train_on_parts` cannot train, before anything is computed.
-
-    Raises
-    ------
-    InputError
-        If the training has no blocks, the start does not fit it, the collection is a store, or the
-        seed is out of range.
-    """
-    if not training.blocks or len(training.hidden) != 2:
-        raise InputError(
-            "Training on surfaces takes presets with `blocks` and two layers in `hidden`, such as "
-            "'surface' and 'partial'."
-        )
-    stores = [each.store for each in (collection, validation) if each is not None and each.store]
-    if stores:
-        raise InputError(
-            f"'{stores[0]}' is a store, which holds descriptors and neither surfaces nor parts of "
-            "them: train on the data set that it was made of."
-        )
-    if not 0 <= seed <= _LARGEST_SEED:
-        raise InputError(f"`seed` must be from 0 to {_LARGEST_SEED}; got {seed}.")
-    if start is not None:
-        _check_start(start, training)
 
 
 def can_start(start: Model, training: Training) -> bool:

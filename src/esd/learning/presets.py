@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 from esd.common import InputError
@@ -65,9 +65,6 @@ class Training:
     blocks
         Of a network that diffuses features over the surface, see `esd.learning.part_training`;
         none for layers.
-    layer_steps
-        Steps of the layers that such a network may have beside it, those of the preset `oriented`,
-        for each of its own; none for a network alone.
     validate_every
         Steps between two validations, and between two checkpoints.
     """
@@ -92,26 +89,7 @@ class Training:
     patches: Patches | None = None
     convolutions: tuple[int, ...] = ()
     blocks: int = 0
-    layer_steps: int = 0
     validate_every: int = 500
-
-    @property
-    def beside(self) -> Training | None:
-        """The training of the layers beside the network; None if it has none."""
-        if not self.layer_steps:
-            return None
-        return replace(
-            PRESETS["oriented"],
-            recipe=self.recipe,
-            standardise=self.standardise,
-            remeshings=self.remeshings,
-            steps=self.layer_steps * self.steps,
-        )
-
-    @property
-    def total_steps(self) -> int:
-        """Number of steps of the network and of the layers beside it."""
-        return (1 + self.layer_steps) * self.steps
 
 
 # every seventh scale of HKS; energies of WKS that other triangles of a surface change little
@@ -159,7 +137,6 @@ PRESETS = {
         steps=500,
         remeshings=2,
         blocks=3,
-        layer_steps=6,
         validate_every=100,
     ),
     "partial": Training(
@@ -203,11 +180,11 @@ PRESETS = {
         validate_every=100,
     ),
 }
-"""`oriented`, which tells left from right; `surface`, which has its layers, and beside them a
-network that sees the descriptors of the surface around each point as well; `partial`, a network
-that does on parts of shapes as well; the networks of the paper (sections 3.4 and 3.5); and what it
-compares them with, of HKS as there: optimal spectral descriptors, also of the geometry vector, as
-their authors have them, and convolutional networks.
+"""`oriented`, which tells left from right; `surface`, which takes the same descriptors and sees
+those of the surface around each point as well; `partial`, which does on parts of shapes as well;
+the networks of the paper (sections 3.4 and 3.5); and what it compares them with, of HKS as there:
+optimal spectral descriptors, also of the geometry vector, as their authors have them, and
+convolutional networks.
 
 `gcnn` has its authors' layers, fully connected and geodesic. `acnn` has theirs up to the second of
 three anisotropic ones, with 16 channels in place of 64 to 256, to be trained without a GPU. The

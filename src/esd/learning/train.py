@@ -86,7 +86,6 @@ def train(
     seed: int = 0,
     validation: Collection | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
-    keeps_checkpoint: bool = False,
     device: str = "cpu",
     workers: Workers = THIS_PROCESS,
     cache: Cache | None = None,
@@ -110,8 +109,6 @@ def train(
         and training stops when it has not fallen at ten validations (`training.validate_every`).
     checkpoint
         A file from which an interrupted training resumes, and which is removed at its end.
-    keeps_checkpoint
-        Whether it remains, so that a finished training is not repeated.
     device
         Where the network is trained, see `usable_device`. What is drawn at random is the same on
         all, so that they differ by rounding alone.
@@ -142,8 +139,6 @@ def train(
         run = _start(training, seed, place)
         path = None if checkpoint is None else Path(checkpoint)
         _run_to_the_end(run, data, training, seed, path, on_progress)
-        if path is not None and not keeps_checkpoint:
-            path.unlink(missing_ok=True)
         return Model(
             name=name,
             recipe=training.recipe,
@@ -217,6 +212,8 @@ def _run_to_the_end(
         if checkpoint is not None:
             run.save(checkpoint, identity=identity)
         on_progress(Progress(run.step, training.steps, training_loss, loss))
+    if checkpoint is not None:
+        checkpoint.unlink(missing_ok=True)
 
 
 @contextmanager
