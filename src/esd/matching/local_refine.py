@@ -12,6 +12,7 @@ from scipy.spatial import KDTree
 from esd.common import FloatArray, InputError, IntArray
 from esd.matching.functional_map import fitted_map, functional_map, spectral_rows
 from esd.matching.refine import (
+    LEAST_WEIGHT,
     SIZES,
     isometry_weight,
     scale_beside,
@@ -25,6 +26,7 @@ from esd.spectral.spectrum import Spectrum
 _SAMPLES = 2000  # vertices of the first level
 _GROWTH = 4  # of the number of vertices from one level of samples to the next
 _SAMPLED = 60  # eigenfunctions up to which samples are enough
+_ISOMETRIC_SAMPLED = 30  # the same between isometric shapes, whose maps can be more exact
 _GROUP = 16  # samples of the source that are searched for together
 _AROUND = 12  # samples of the target, nearest to a match, around which it is searched
 
@@ -139,12 +141,13 @@ def local_zoomout(
         raise InputError(f"Both shapes need as many levels; got {len(source)} and {len(target)}.")
     here, there = source[0], target[0]
     used = usable_sizes(sizes, here.spectrum, there.spectrum)
-    few = [size for size in used if size <= _SAMPLED] or used[:1]
-    many = used[len(few) :] or used[-1:]
     at_samples = embeddings[0][here.vertices], embeddings[1][there.vertices]
     index, _ = nearest(rows[0][here.vertices], rows[1][there.vertices])
     spectra = here.spectrum, there.spectrum
     weight = isometry_weight(*spectra, fitted_map(*spectra, index, size=used[0]), index)
+    enough = _SAMPLED if weight > LEAST_WEIGHT else _ISOMETRIC_SAMPLED
+    few = [size for size in used if size <= enough] or used[:1]
+    many = used[len(few) :] or used[-1:]
     index = zoomout(*spectra, index, sizes=few, embeddings=at_samples, weight=weight, sampled=True)
     products = (len(few) + 1) * len(here.vertices) * len(there.vertices)
     for number in range(1, len(source)):
