@@ -460,9 +460,15 @@ def _nearest_maps(source: Features, target: Features, *, refine: bool, device: s
 def _full_maps(
     source: Features, target: Features, candidate: Candidate, *, refine: bool, device: str
 ) -> _Maps:
-    """The maps of a candidate, refined with its embeddings if it has any."""
+    """The maps of a candidate, refined with its embeddings if it has any.
+
+    Between shapes of different build, refinement is better from nearest embeddings of a model than
+    from the candidate, which was refined from a few eigenfunctions on.
+    """
     forward, backward = candidate.forward, candidate.backward
     if refine and candidate.embeddings is not None:
+        if candidate.name == "embedding":
+            forward = backward = candidate.embeddings
         return _refined_maps(source, target, forward, backward, candidate.embeddings)
     index, _ = nearest(*forward, device=device)
     return _Maps(index, nearest(*backward[::-1], device=device)[0], lambda: forward)
