@@ -64,3 +64,4 @@ def test_a_surface_training_starts_from_the_default_model_unless_it_does_not_fit
     assert start.name == load_model("default").name
     assert _default_that_fits(preset("partial")) is None
     assert _default_that_fits(replace(surface, outputs=16)) is None
+    assert _default_that_fits(replace(surface, standardise=False)) is None

@@ -178,7 +178,8 @@ def _default_that_fits(training: Training) -> Model | None:
     from esd.matching.match import DEFAULT_MODEL
 
     default = load_model(DEFAULT_MODEL)
-    return default if can_start(default, training) else None
+    # whose standardisation is kept
+    return default if training.standardise and can_start(default, training) else None
 
 
 def _unsupervised(
