@@ -57,6 +57,15 @@ def test_what_learning_without_correspondences_cannot_do_is_refused(
     assert not (tmp_path / "model").exists()
 
 
+def test_the_card_says_that_a_surface_training_started_from_the_default_model(
+    run, shapes, tmp_path
+):
+    two = ("--include", "tr_reg_00*,tr_reg_01*")
+    run("train", shapes, *two, "--preset", "surface", "--steps", "1", "-o", tmp_path / "m")
+    card = json.loads((tmp_path / "m" / "config.json").read_text())["card"]
+    assert card["start"] == load_model("default").name
+
+
 def test_a_surface_training_starts_from_the_default_model_unless_it_does_not_fit():
     surface = preset("surface")
     start = _default_that_fits(surface)
