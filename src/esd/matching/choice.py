@@ -164,6 +164,11 @@ def chosen(
     return Choice(*best, costs, doubtful, tuple(found), shapes, descriptors)
 
 
+def is_sure(choice: Choice) -> bool:
+    """Whether what was chosen is expected to be right nearly everywhere."""
+    return accuracy(choice.evidence) >= _SURE
+
+
 def elastic(choice: Choice) -> Choice:
     """The choice, or a registered candidate in its place where none is sure.
 
@@ -171,7 +176,7 @@ def elastic(choice: Choice) -> Choice:
     coarsely and registered once more. Shapes that are no oriented manifolds cannot be, and those
     of one pose need not: smooth deformation is better there.
     """
-    if accuracy(choice.evidence) >= _SURE or choice.evidence.residual < _ONE_POSE:
+    if is_sure(choice) or choice.evidence.residual < _ONE_POSE:
         return choice
     source, target = side_by_side(coarse, choice.shapes)
     if source is None or target is None:

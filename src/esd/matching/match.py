@@ -15,7 +15,7 @@ from esd.common import BoolArray, FloatArray, InputError, IntArray
 from esd.learning.model import Model, load_model
 from esd.matching.assignment import one_to_one as assignment
 from esd.matching.candidates import CANDIDATES, Candidate, Rows, candidate_of
-from esd.matching.choice import Choice, chained, check_candidates, chosen, elastic
+from esd.matching.choice import Choice, chained, check_candidates, chosen, elastic, is_sure
 from esd.matching.confidence import Adaptation, Overlap, confidence, judgement
 from esd.matching.correspondence import Correspondence
 from esd.matching.features import Features, reflected, shape_features
@@ -310,7 +310,12 @@ def match_features(
     if choice is not None:
         expected = accuracy(choice.evidence)
         costs, contradicted = choice.costs, tuple(used[choice.contradicted].tolist())
-        maps = _full_maps(source, target, choice.candidate, refine=refine, device=model.device)
+        candidate = choice.candidate
+        if candidate.name == "embedding" and is_sure(choice):
+            # exact embeddings, which the candidate's coarse refinement makes less so
+            embeddings = source.embedded, target.embedded
+            candidate = replace(candidate, forward=embeddings, backward=embeddings)
+        maps = _full_maps(source, target, candidate, refine=refine, device=model.device)
         if refine and (choice.copies is not None or choice.candidate.is_extrinsic):
             maps = _tightened(source, target, choice, maps, device=model.device)
     else:
@@ -460,15 +465,9 @@ def _nearest_maps(source: Features, target: Features, *, refine: bool, device: s
 def _full_maps(
     source: Features, target: Features, candidate: Candidate, *, refine: bool, device: str
 ) -> _Maps:
-    """The maps of a candidate, refined with its embeddings if it has any.
-
-    Between shapes of different build, refinement is better from nearest embeddings of a model than
-    from the candidate, which was refined from a few eigenfunctions on.
-    """
+    """The maps of a candidate, refined with its embeddings if it has any."""
     forward, backward = candidate.forward, candidate.backward
     if refine and candidate.embeddings is not None:
-        if candidate.name == "embedding":
-            forward = backward = candidate.embeddings
         return _refined_maps(source, target, forward, backward, candidate.embeddings)
     index, _ = nearest(*forward, device=device)
     return _Maps(index, nearest(*backward[::-1], device=device)[0], lambda: forward)
