@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from dataclasses import asdict
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -55,26 +56,14 @@ def fit(
             cache=cache,
             on_shape=on_shape,
         )
+    learn: Callable[..., Model]
     if training.blocks:
         from esd.learning.part_training import train_on_parts
 
-        return train_on_parts(
-            collection,
-            training,
-            name=name,
-            seed=seed,
-            validation=validation,
-            start=start,
-            checkpoint=checkpoint,
-            device=device,
-            workers=workers,
-            cache=cache,
-            on_shape=on_shape,
-            on_progress=on_progress,
-        )
-    from esd.learning.train import train
-
-    return train(
+        learn = partial(train_on_parts, start=start)
+    else:
+        from esd.learning.train import train as learn
+    return learn(
         collection,
         training,
         name=name,
